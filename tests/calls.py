@@ -75,6 +75,8 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "contact_map": ["loop", 1000.0, 10.0, {"push": 1.0, "friction": 0.1, "duration": 1}],
     "HapticLoop.region": ["loop"],
     "HapticLoop.limits": ["loop"],
+    "HapticLoop.boundary": ["loop"],
+    "HapticLoop.intervals": ["loop", {"damping": 10.0}],
     "HapticLoop.stiffness_limits": ["loop", 10.0],
     "HapticLoop.damping_limits": ["loop", 1000.0],
     "HapticLoop.stiffness_intervals": ["loop", 10.0],

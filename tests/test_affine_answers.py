@@ -121,6 +121,47 @@ def test_54_simulations_are_those_of_the_recursion_s_polynomial(kind: str) -> No
         assert np.allclose(samples, truth, rtol=1e-5, atol=1e-5 * np.abs(truth).max())
 
 
+@pytest.mark.parametrize("kind", OF_GAINS)
+def test_54_motions_settle_where_recursions_do(kind: str) -> None:
+    count, compared = 4000, 0
+    for case in drawn(kind, 3, seed=5):
+        gains = stable_gains(case)
+        if not gains or radius(case, *gains.values()) > 0.995:
+            continue
+        unit = np.zeros(count)
+        unit[0] = 1.0
+        motion = np.abs(lfilter([1.0], np.poly(case.matrix(*gains.values())).real, unit))
+        truth = np.flatnonzero(motion > 0.02 * motion.max())[-1] + 1
+        settling = case.loop.settling_time(**gains)
+        assert int(settling.status) == 1  # settled, and proved to stay so
+        assert abs(round(float(settling.value) / case.loop.sample_time) - truth) <= 1
+        compared += 1
+    assert compared or kind != "simulator"
+
+
+def test_54_walls_and_other_gains_share_their_methods() -> None:
+    wall = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+    named = {"stiffness": 1000.0, "damping": 10.0}
+    for method in ("spectral_radius", "poles", "oscillation", "frequency_margins"):
+        places = getattr(wall, method)(1000.0, 10.0)
+        assert str(getattr(wall, method)(**named)) == str(places)
+        assert str(getattr(wall, method)(1000.0, damping=10.0)) == str(places)
+    assert wall.intervals(damping=20.0) == wall.stiffness_intervals(20.0)
+    assert np.array_equal(wall.boundary(), wall.region().outline)
+    assert wall.region().contains(**named)
+    with pytest.raises(TypeError, match="give both stiffness and damping"):
+        wall.poles(1.0, 2.0, 3.0)
+    loop = jaxstab.simulated_pd(0.1, step=2e-3)
+    with pytest.raises(TypeError, match="one without a name, one without a name; give both kp"):
+        loop.spectral_radius(1000.0, 20.0)
+    gains = {"kp": 5000.0, "kd": 5.0}  # p = (z - 1)^2 + a z + b (z - 1)
+    root = np.roots([1.0, -2.0 + 0.2 + 0.1, 1.0 - 0.1])[0]
+    mode = loop.oscillation(**gains)
+    assert mode.frequency == pytest.approx(abs(np.angle(root)) / (2.0 * np.pi * 2e-3), rel=1e-12)
+    decay = -np.log(abs(root))
+    assert mode.damping_ratio == pytest.approx(decay / np.hypot(decay, np.angle(root)), rel=1e-9)
+
+
 def test_54_simulations_broadcast_and_are_differentiable() -> None:
     jax = pytest.importorskip("jax")
     loop = jaxstab.simulated_pd(0.1, step=2e-3)

@@ -30,7 +30,10 @@ WITHOUT_ARRAYS = {
     "regions_of",
     "tune_for_all",
     "trace_boundary",
-    *(f"HapticLoop.{method}" for method in ("region", "limits", "tune", "robust_limit")),
+    *(
+        f"HapticLoop.{method}"
+        for method in ("region", "limits", "tune", "robust_limit", "boundary")
+    ),
 }
 
 WITH_FLINT = {  # loops, lines of walls and regions are in balls, filters in exact numbers
@@ -40,9 +43,10 @@ WITH_FLINT = {  # loops, lines of walls and regions are in balls, filters in exa
     *("settling_samples", "HapticLoop.settling_time", "paper.passive_region"),
     *(f"HapticLoop.{walls}" for walls in ("poles", "spectral_radius", "verdict", "worst_delays")),
     *(f"HapticLoop.{line}" for line in ("damping_limits", "stiffness_limits", "limits", "region")),
-    *(f"HapticLoop.{line}" for line in ("damping_intervals", "stiffness_intervals")),
+    *(f"HapticLoop.{line}" for line in ("damping_intervals", "stiffness_intervals", "intervals")),
     *("HapticLoop.boundary_distance", "HapticLoop.robust_limit", "HapticLoop.worst_hand"),
     *("HapticLoop.contact", "HapticLoop.frequency_margins", "HapticLoop.range_of"),
+    "HapticLoop.boundary",
     *(
         "HapticLoop.simulate",
         "HapticLoop.tune",

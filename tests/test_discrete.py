@@ -254,6 +254,55 @@ def test_54_a_part_that_no_output_shows_counts() -> None:
         assert HapticLoop(device=device, sample_time=1e-3).verdict(0.1, 0.0) == code
 
 
+# ---------------------------------------------------------------------------------------- motions
+def stepped(n: int, late: int, window: int, gains: tuple[float, float], count: int) -> np.ndarray:
+    """Positions of a joint at its steps, semi-implicit Euler under a unit force, n a sample."""
+    inertia, damping, stiffness, step = 0.2, 0.1, 3.0, 1e-3
+    x, v, forces, moved = 0.0, 0.0, dict[int, float](), list[float]()
+    for k in range(n * count):
+        moved.append(x)
+        if k % n == 0:
+            earlier = moved[k - window * n] if k >= window * n else 0.0
+            forces[k // n] = -gains[0] * x - gains[1] * (x - earlier) / (window * n * step)
+        acting = 1.0 + forces.get((k - late) // n, 0.0)
+        v += step / inertia * (acting - damping * v - stiffness * x)
+        x += step * v
+    return np.array(moved)
+
+
+@pytest.mark.parametrize(("n", "late", "window"), [(1, 0, 1), (2, 3, 3), (4, 5, 2), (3, 6, 4)])
+def test_a_device_in_z_moves_and_settles_as_its_engine_steps_it(
+    n: int, late: int, window: int
+) -> None:
+    joint = Device.simulated(0.2, step=1e-3, damping=0.1, stiffness=3.0)
+    velocity, period = Velocity.difference(samples=window), n * 1e-3
+    loop = HapticLoop(device=joint, sample_time=period, delay=late * 1e-3, velocity=velocity)
+    limits = loop.limits()
+    gains = 0.05 * limits.stiffness, 0.3 * limits.damping
+    between = {} if n == 1 else {"between": n - 1}
+    found = loop.simulate(*gains, samples=50, force=1.0, **between)
+    truth = stepped(n, late, window, gains, 2000)
+    assert np.allclose(found.position, truth[: 50 * n], rtol=0.0, atol=1e-13 * truth.max())
+    final = 1.0 / (gains[0] + 3.0)
+    outside = np.flatnonzero(np.abs(truth[::n] - final) > 0.02 * final)
+    settling = loop.settling_time(*gains)
+    assert round(float(settling.value) / period) == outside[-1] + 1
+    assert loop.simulate(*gains, samples=3, initial_position=1.0).position[0] == 1.0
+    best = loop.tune()
+    truth = stepped(n, late, window, best[:2], 2000)[::n]
+    final = 1.0 / (best.stiffness + 3.0)
+    outside = np.flatnonzero(np.abs(truth - final) > 0.02 * final)
+    assert round(best.settling_time / period) == outside[-1] + 1
+    assert best.settling_time <= settling.value
+
+
+def test_a_device_in_z_with_its_own_velocity_is_tuned_to_the_smallest_radius() -> None:
+    loop = HapticLoop(device=JOINT, sample_time=2e-3, velocity=MEASURED)
+    best, same = loop.tune("radius"), jaxstab.simulated_pd(0.1, step=2e-3).tune()
+    assert best.radius == pytest.approx(same.radius, abs=1e-3)  # a triple root, deadbeat
+    assert np.isnan(best.settling_time)
+
+
 # -------------------------------------------------------------------------------------- refusals
 LOOP = HapticLoop(device=JOINT, sample_time=2e-3)
 WITH_ITS_OWN = HapticLoop(device=JOINT, sample_time=2e-3, velocity=MEASURED)
@@ -281,11 +330,16 @@ REFUSALS: list[tuple[Callable[[], object], str]] = [
     (lambda: JOINT.held_by(HAND), "at its steps alone"),
     (lambda: JOINT.with_actuator(100.0), "at its steps alone"),
     (lambda: JOINT.poles(), "at its steps alone"),
-    (lambda: LOOP.simulate(100.0, 1.0, initial_velocity=1.0), "at its steps alone"),
+    (lambda: LOOP.simulate(100.0, 1.0, force=1.0, between=1), "at its steps alone, 1 a sample"),
+    (
+        lambda: HapticLoop(device=DIRECT, sample_time=1e-3, delay=1e-3).simulate(
+            0.1, 0.0, force=1.0
+        ),
+        "same step",
+    ),
+    (lambda: WITH_ITS_OWN.settling_time(100.0, 1.0), "an estimator from positions"),
     (lambda: LOOP.contact(100.0, 1.0, push=1.0), "at its steps alone"),
-    (lambda: LOOP.settling_time(100.0, 1.0), "at its steps alone"),
     (lambda: LOOP.amplitude(100.0, 1.0, encoder=1e-4), "at its steps alone"),
-    (lambda: LOOP.tune(), "at its steps alone"),
     (lambda: LOOP.jitter_margin(100.0, 1.0), "at its steps alone"),
     (lambda: LOOP.verdict(100.0, 1.0, delays=(0.0, 2e-3)), "at its steps alone"),
     (lambda: LOOP.worst_delays(100.0, 1.0, delays=(0.0, 2e-3)), "at its steps alone"),

@@ -365,7 +365,11 @@ def test_the_curve_of_a_picture_is_the_open_loop() -> None:
     ("draw", "error", "sentence"),
     [
         (lambda: WINDOW.plot("nichols"), ValueError, "kind is 'nichols'; give one of \"region\""),
-        (lambda: WINDOW.plot("bode", 1000.0), TypeError, "damping is None; give real numbers"),
+        (
+            lambda: WINDOW.plot("bode", 1000.0),
+            TypeError,
+            "gains given: stiffness; give both",
+        ),
         (lambda: WINDOW.plot("region", 1.0, 1.0), TypeError, "gains are given beside kind"),
         (
             lambda: jaxstab.simulated_pd(0.1, step=2e-3).plot("bode", kp=1.0),

@@ -31,11 +31,14 @@ from flint import acb, arb, arb_mat, arb_poly
 from jaxtyping import Complex128, Float64
 
 from jaxstab.exact.roots import isolated_roots, real_or_not
-from jaxstab.exact.verdict import roots_outside
+from jaxstab.exact.verdict import TripleAt, roots_outside
 from jaxstab.model.balls import BallLoop, Factored, ball_loop
+from jaxstab.model.device.device import in_steps
+from jaxstab.model.device.discrete import held_steps
 from jaxstab.model.device.mechanics import equations, sides_in_samples
 from jaxstab.model.device.parts import Answer, decided, exact, remembered
 from jaxstab.model.device.sampling import seen
+from jaxstab.model.filters import behind_measured
 from jaxstab.model.loop import LoopParameters
 from jaxstab.rounding import EPS, UNDERFLOW, UNIT
 
@@ -205,7 +208,7 @@ Quotients = list[tuple[Any, list[Any]]]
 
 
 class _Wall(NamedTuple):
-    """The loop of one wall in balls.
+    """The loop of one wall, or of two gains without a plant, in balls.
 
     p: p(z), the roots that are known told apart; whole: multiplied out.
     force: K Np Dv + B Nv Dp.
@@ -213,8 +216,8 @@ class _Wall(NamedTuple):
 
     p: Factored
     whole: "arb_poly"
-    force: "arb_poly"
-    parts: "_Parts"
+    force: Any = None
+    parts: Any = None
 
     @classmethod
     def from_loop(cls, loop: LoopParameters, stiffness: float, damping: float) -> "_Wall":
@@ -359,22 +362,14 @@ class _Parts(NamedTuple):
 
     @classmethod
     def from_loop(cls, loop: LoopParameters) -> "_Parts":
-        device, period = loop.held_device, float(loop.sample_time)
-        matrix = equations(device, sides_in_samples(device, period), period)
-        size = matrix.ncols() - 2
-        whole = matrix.exp().tolist()
-        late = (matrix * (1 - arb(exact(loop.delay_samples % 1.0)))).exp().tolist()
-        transition = arb_mat([row[:size] for row in whole[:size]])
+        transition, newer, older, push, blow = _moves(loop)
+        size = transition.nrows()
         denominator = transition.charpoly()
         one = arb_mat(size, size) + 1
 
         def after(vector: "list[arb]") -> "list[arb_poly]":
             return seen(one, transition, denominator, arb_mat([vector]).transpose())
 
-        newer = [late[row][size] for row in range(size)]
-        older = [whole[row][size] - newer[row] for row in range(size)]
-        blow = [matrix[row, size + 1] for row in range(size)]
-        push = [whole[row][size + 1] for row in range(size)]
         parts = ball_loop(loop)
         memory = parts.position[1].times(parts.velocity[1]).polynomial()
         waiting = int(loop.delay_samples) + 1
@@ -390,6 +385,32 @@ class _Parts(NamedTuple):
             free * after(blow)[0],
             free * after(push)[0],
         )
+
+
+def _moves(loop: LoopParameters) -> "tuple[arb_mat, list[arb], list[arb], list[arb], list[arb]]":
+    """F, and what the states become by the newer and the older force, a push and a blow."""
+    device, period, fraction = loop.held_device, float(loop.sample_time), loop.delay_samples % 1.0
+    if own := in_steps(device):
+        if loop.velocity and behind_measured(loop.velocity) is not None:
+            raise ValueError(
+                f"the velocity is that of the device ({device}); its motion is computed with an "
+                "estimator from positions: give one, or ask for verdicts, poles and tune."
+            )
+        count = round(period / own.step)
+        held, _ = held_steps(own)
+        powers = (held**j for j in (count, count - round(fraction * count), 1))
+        whole, late, one = (arb_mat(power).tolist() for power in powers)
+    else:
+        matrix = equations(device, sides_in_samples(device, period), period)
+        whole = matrix.exp().tolist()
+        late = (matrix * (1 - arb(exact(fraction)))).exp().tolist()
+    size = len(whole) - (1 if own else 2)
+    hand = size if own else size + 1
+    newer = [late[row][size] for row in range(size)]
+    older = [whole[row][size] - newer[row] for row in range(size)]
+    push = [whole[row][hand] for row in range(size)]
+    blow = [one[row][hand] if own else matrix[row, hand] for row in range(size)]
+    return arb_mat([row[:size] for row in whole[:size]]), newer, older, push, blow
 
 
 @remembered(128)
@@ -425,7 +446,8 @@ def disturbed_responses(
     def by_powers(wall: _Wall) -> Responses | None:
         return wall.by_powers(wall.disturbed(causes), 1)
 
-    return _of_wall(loop, (stiffness, damping), (by_modes, by_powers), nothing=None)
+    wall_at = partial(_wall_at, loop, stiffness, damping)
+    return _of_wall(wall_at, (stiffness, damping), (by_modes, by_powers), nothing=None)
 
 
 def settled_after(
@@ -437,26 +459,65 @@ def settled_after(
     horizon: int,
 ) -> float:
     """The sample from which on a wall stays settled: infinite if unstable, NaN if not proved."""
-    is_impact = excitation == "impact"
+    wall_at, is_impact = partial(_wall_at, loop, stiffness, damping), excitation == "impact"
 
+    def begun(wall: _Wall) -> Quotients:
+        return wall.begun(is_impact=is_impact)
+
+    return _settled_after(wall_at, (stiffness, damping), begun, level, horizon, is_impact=is_impact)
+
+
+def motion_settled_after(
+    triple: TripleAt, first: float, second: float, level: float, horizon: int
+) -> float:
+    """The same of a loop's motion from an impulse, z^n/p(z), beside its largest term."""
+
+    def wall_at() -> _Wall:
+        p = triple().at(first, second)
+        return _Wall(p, p.polynomial())
+
+    def begun(wall: _Wall) -> Quotients:
+        one = arb_poly([1])
+        return [(one, [one.left_shift(wall.whole.degree())])]
+
+    return _settled_after(wall_at, (first, second), begun, level, horizon, is_impact=True)
+
+
+def _settled_after(
+    wall_at: "Callable[[], _Wall]",
+    gains: tuple[float, float],
+    begun: "Callable[[_Wall], Quotients]",
+    level: float,
+    horizon: int,
+    *,
+    is_impact: bool,
+) -> float:
     def by_modes(wall: _Wall) -> float | None:
-        found = wall.responses(wall.begun(is_impact=is_impact))
+        found = wall.responses(begun(wall))
         return found and found.settled(level, horizon, is_impact=is_impact)
 
     def by_powers(wall: _Wall) -> float | None:
-        terms, numerators = 64, wall.begun(is_impact=is_impact)
+        terms, numerators = 64, begun(wall)
         while terms < _MOST_POWERS and (found := wall.by_powers(numerators, terms)) is not None:
             if (settled := found.settled(level, horizon, is_impact=is_impact)) is not None:
                 return settled
             terms *= 4
         return None
 
-    settled = _of_wall(loop, (stiffness, damping), (by_modes, by_powers), nothing=inf)
+    settled = _of_wall(wall_at, gains, (by_modes, by_powers), nothing=inf)
     return nan if settled is None else settled
 
 
+def _wall_at(loop: LoopParameters, stiffness: float, damping: float) -> _Wall:
+    if not (damping and stiffness):
+        # The filter of a gain that is 0 has poles of its own, which may coincide.
+        kept = loop.velocity if damping else None, loop.position if stiffness else None
+        loop = replace(loop, velocity=kept[0], position=kept[1])
+    return _Wall.from_loop(loop, stiffness, damping)
+
+
 def _of_wall(
-    loop: LoopParameters,
+    wall_at: "Callable[[], _Wall]",
     gains: tuple[float, float],
     ways: "Iterable[Callable[[_Wall], Answer | None]]",
     nothing: Answer,
@@ -464,13 +525,9 @@ def _of_wall(
     """The answer of the first way that has one; ``nothing`` for an unstable wall."""
     if not isfinite(sum(gains)):
         return None  # as where JAX traced the numbers, so that nobody checked them
-    if not all(gains):
-        # The filter of a gain that is 0 has poles of its own, which may coincide.
-        kept = loop.velocity if gains[1] else None, loop.position if gains[0] else None
-        loop = replace(loop, velocity=kept[0], position=kept[1])
 
     def question(way: "Callable[[_Wall], Answer | None]") -> tuple[Answer | None] | None:
-        wall = _Wall.from_loop(loop, *gains)
+        wall = wall_at()
         is_stable = wall.is_stable()
         answer = way(wall) if is_stable else nothing
         return None if is_stable is None or (is_stable and answer is None) else (answer,)

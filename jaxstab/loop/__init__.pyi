@@ -1,7 +1,5 @@
-from .affine import Gain as Gain
 from .affine import GainLimit as GainLimit
 from .affine import GainLimits as GainLimits
-from .affine import GainRegion as GainRegion
 from .affine import Loop as Loop
 from .affine import TunedGains as TunedGains
 from .backwards import StableEnd as StableEnd
@@ -15,6 +13,7 @@ from .doors import pid as pid
 from .doors import simulated_pd as simulated_pd
 from .frequency import AtFrequency as AtFrequency
 from .frequency import FrequencyMargins as FrequencyMargins
+from .gains import Gain as Gain
 from .hands import WorstHand as WorstHand
 from .jitter import MovingLimits as MovingLimits
 from .jitter import WorstDelays as WorstDelays
@@ -29,11 +28,12 @@ from .margins import Margins as Margins
 from .margins import margins as margins
 from .measured import MeasuredMargins as MeasuredMargins
 from .measured import MeasuredVerdict as MeasuredVerdict
+from .region import GainRegion as GainRegion
 from .region import Gains as Gains
 from .region import WallLimits as WallLimits
 from .region import WallRegion as WallRegion
+from .tune import CommonWall as CommonWall
 from .tune import OptimalWall as OptimalWall
-from .tune_for_all import CommonWall as CommonWall
-from .tune_for_all import tune_for_all as tune_for_all
+from .tune import tune_for_all as tune_for_all
 
 __all__: list[str]

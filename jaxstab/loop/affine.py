@@ -1,46 +1,36 @@
 """Any sampled loop that is affine in two gains, its answers named by the gains.
 
-Verdicts, radii, poles and intervals are those of lemmas E1 to E3 of docs/proofs.md, which ask
-nothing of the three parts of p(z) = base + a S + b R but that the leading coefficient does not
-vanish. Regions are searched where p(z) is monic: the set of stable polynomials of one degree with
-the leading coefficient 1 is bounded, and so is what two gains can reach of it. Where the gains move
-the leading coefficient, other coordinates do not (``model.affine``): an admittance has its region
-in the coordinates 1/M and D/M. Its least mass and damping are looked up in that outline, to its
-tolerance; where the row of gains through such a point has a proved end, that is taken.
+What it shares with walls stands in ``loop.gains``. Regions are searched where p(z) is monic: the
+set of stable polynomials of one degree with the leading coefficient 1 is bounded, and so is what
+two gains can reach of it. Where the gains move the leading coefficient, other coordinates do not
+(``model.affine``): an admittance has its region in the coordinates 1/M and D/M. Its least mass and
+damping are looked up in that outline, to its tolerance; where the row of gains through such a point
+has a proved end, that is taken.
 
 Coefficients that are exact numbers have one more proof: where some roots have the product 1 for
 all gains, as without damping, no precision of balls decides, and fractions do.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from fractions import Fraction
 from functools import cached_property, partial
 from math import inf
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Complex128, Float64, Int8
+from jaxtyping import Float64, Int8
 
-from jaxstab.arrays import (
-    Array,
-    Numbers,
-    float_arrays,
-    is_any_jax,
-    named,
-    namespace,
-    repeat_and_keep,
-)
-from jaxstab.conventions import Range, Verdict
-from jaxstab.exact import stable_line
+from jaxstab.arrays import Array, Numbers, float_arrays, is_jax, named, namespace, repeat_and_keep
+from jaxstab.conventions import HORIZON, Range, Verdict
 from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.exact.line import LineStatus, StableLine
+from jaxstab.exact.response import motion_settled_after
 from jaxstab.exact.verdict import affine_verdict
-from jaxstab.loop.frequency import FrequencyMargins, margins_at_frequencies, plot
-from jaxstab.loop.margins import GainMargins, margins_of_gains
-from jaxstab.loop.region import Gains
-from jaxstab.loop.walls import FewWalls, open_loop
+from jaxstab.loop.gains import Gain, TwoGains
+from jaxstab.loop.margins import GainMargins, margins_of_gains, stable_pairs
+from jaxstab.loop.region import TOLERANCE, GainRegion, Gains, names_of
 from jaxstab.model.affine import (
     AffineParts,
     Coefficient,
@@ -50,43 +40,21 @@ from jaxstab.model.affine import (
     coordinates_of,
     opened_loop,
 )
-from jaxstab.model.balls import rounded_triple
+from jaxstab.model.balls import Factored, Triple, rounded_triple
 from jaxstab.model.device.parts import working_precision
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.model.parameters import checked_gain, wall_grid
-from jaxstab.numbers import (
-    checked_count,
-    checked_number,
-    require_x64,
-    without_noise,
-)
-from jaxstab.point import SpectralRadius, linear_spectral_radius, linear_verdict
+from jaxstab.motion.settling import SettlingTime, checked_level, settled_answer
+from jaxstab.numbers import checked_count, checked_number, require_x64
 from jaxstab.region.pieces import NO_BRANCH
-from jaxstab.region.region import proved_extremes, region_of
-from jaxstab.region.stable_set import GainNames, RegionStatus, ShownRegion, StableRegion
+from jaxstab.region.region import region_of
+from jaxstab.region.stable_set import RegionStatus
 from jaxstab.shown import exact_text, number_text, text_with_bound
 from jaxstab.tuning import TuningStatus
 from jaxstab.tuning.radius import Walls, family_of_loop, smallest_radius
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from jaxstab.loop.backwards import StableValues
-
-_FEW = 100  # pairs of gains, which balls answer one by one
-
-
-class Gain(NamedTuple):
-    """A gain of a loop: its name, its unit, and whether users look for its largest value.
-
-    Example:
-        >>> jaxstab.simulated_pd(0.1, step=2e-3).gains[0]
-        Gain(name='kp', unit='N m/rad', sense='largest')
-    """
-
-    name: str
-    unit: str = ""
-    sense: Literal["largest", "least"] = "largest"
 
 
 class GainLimit(NamedTuple):
@@ -134,93 +102,6 @@ class GainLimits(NamedTuple):
         return "\n".join(lines)
 
 
-@dataclass(frozen=True, repr=False)
-class GainRegion(ShownRegion):
-    """The stable gains of a loop, in coordinates in which they are bounded.
-
-    Attributes:
-        loop: the loop.
-        region: the same set in dimensionless numbers.
-        units: the size of 1 of these, in the coordinates.
-
-    Example:
-        >>> region = jaxstab.simulated_pd(0.1, step=2e-3).region()
-        >>> region.status.name, region.contains(kp=[1000.0, 1e5], kd=50.0).tolist()
-        ('COMPLETE', [True, False])
-        >>> region.outline.max(axis=0).round(3).tolist(), len(region.components)
-        ([100000.0, 100.0], 1)
-        >>> region.main is None, region.islands, region.names.labels
-        (False, [], ('kp (N m/rad)', 'kd (N m s/rad)'))
-        >>> [point.round(3).tolist() for point in region.extremes]
-        [[100000.0, 0.0], [0.0, 100.0]]
-    """
-
-    loop: "Loop"
-    region: StableRegion
-    units: tuple[float, float]
-
-    @property
-    def names(self) -> GainNames:  # type: ignore[override]
-        """The names and units of the coordinates."""
-        return _names(self.loop.coordinates)
-
-    @property
-    def status(self) -> RegionStatus:
-        """The status of the region."""
-        return self.region.status
-
-    @cached_property
-    def outline(self) -> Float64[np.ndarray, "point 2"]:
-        """The outline, loop after loop, counter-clockwise, in the coordinates."""
-        return self.region.points * np.array(self.units)
-
-    @cached_property
-    def components(self) -> list["GainRegion"]:
-        """The connected parts: the one that holds small gains, then islands by their area."""
-        return [GainRegion(self.loop, part, self.units) for part in self.region.components]
-
-    @property
-    def main(self) -> "GainRegion | None":
-        """The gains that are reached from small ones; None where small gains are not stable."""
-        return self.components[0] if self.region.main is not None else None
-
-    @property
-    def islands(self) -> list["GainRegion"]:
-        """All other components."""
-        return self.components[self.main is not None :]
-
-    @property
-    def extremes(self) -> Any:
-        """The points of the largest first and second coordinate, both >= 0."""
-        extent = np.ptp(self.outline, axis=0)
-        points = [point * np.array(self.units) for point in proved_extremes(self.region)]
-        return tuple(
-            np.array([without_noise(c, size) for c, size in zip(point, extent, strict=True)])
-            for point in points
-        )
-
-    def contains(self, **gains: Numbers) -> Bool[Array, "*grid"]:
-        """True where gains lie inside the exact boundary."""
-        grid = self.loop._grid(gains)
-        first, second = self.loop._chart.of_gains(grid[..., 0], grid[..., 1])
-        return self.region.contains(first / self.units[0], second / self.units[1])
-
-    def __repr__(self) -> str:
-        """Return status, extremes and the number of islands."""
-        if not self.components:
-            return f"GainRegion: {self.status.words}"
-        names, (first, second) = self.names, (self.main or self.components[0]).extremes
-        small = "" if self.main else "; small gains are not stable"
-        return "\n".join(
-            [
-                f"GainRegion ({names.stiffness}, {names.damping}): {self.status.words}{small}",
-                f"  largest  {names.at_largest_stiffness(first)}",
-                f"  largest  {names.at_largest_damping(second)}",
-                f"  islands  {len(self.islands) or 'none found'}",
-            ]
-        )
-
-
 class TunedGains(NamedTuple):
     """The gains of the smallest spectral radius by their names, and the radius of exactly these.
 
@@ -243,7 +124,7 @@ class TunedGains(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False)
-class Loop:
+class Loop(TwoGains):
     """A sampled loop whose characteristic polynomial is affine in two gains.
 
     p(z) = base + a S + b R, with any polynomials. Make one with ``from_coefficients``, or by
@@ -354,12 +235,14 @@ class Loop:
             >>> loop.verdict(kp=1000.0, kd=[0.0, 10.0, 200.0]).tolist()
             [2, 1, 2]
         """
-        if is_any_jax(*gains.values()):
-            return named(linear_verdict(*self._in_units(gains), self._pairs), Verdict)
-        grid = self._grid(gains)
-        codes = np.full(grid.shape[:-1], Verdict.UNDECIDED, np.int8)
-        if codes.size > _FEW and self._chart.are_gains:
-            codes = np.array(linear_verdict(*self._in_units(gains), self._pairs))
+        pair = self._named((), gains)
+        grid = self._few(pair)
+        if grid is not None:
+            return self._verdicts(grid)
+        codes = self._on_grid("verdict", pair)
+        if is_jax(codes):
+            return named(codes, Verdict)
+        codes, grid = np.array(codes), wall_grid(**pair)
         for place in np.flatnonzero(codes == Verdict.UNDECIDED):
             codes.flat[place] = self._verdict(*grid.reshape(-1, 2)[place].tolist())
         return named(codes, Verdict)
@@ -367,61 +250,8 @@ class Loop:
     def _verdict(self, first: float, second: float) -> Verdict:
         return affine_verdict(self.parts, first, second)
 
-    def spectral_radius(self, **gains: Numbers) -> SpectralRadius:
-        """The largest modulus of the poles per sample, with the bound of its error.
-
-        JAX arrays, and more than a hundred pairs of gains, are a grid, as for ``verdict``.
-
-        Raises: as ``verdict``. Source: the roots of eq. (9), likewise; lemma E2 of docs/proofs.md.
-
-        Example:
-            >>> loop = jaxstab.simulated_pd(0.1, step=2e-3)
-            >>> round(float(loop.spectral_radius(kp=1000.0, kd=20.0).value), 6)
-            0.871652
-        """
-        is_jax = is_any_jax(*gains.values())
-        grid = None if is_jax else self._grid(gains)
-        if grid is None or (grid.size > 2 * _FEW and self._chart.are_gains):
-            return linear_spectral_radius(*self._in_units(gains), self._pairs)
-        return FewWalls(partial(affine_triple, self.parts), grid).spectral_radii()
-
-    def poles(self, **gains: Numbers) -> Complex128[np.ndarray, "*grid pole"]:
-        """All poles per sample, the largest first; NaN where some coincide and are not told apart.
-
-        Raises: as ``verdict``. Source: the roots of eq. (9), likewise; lemma E2 of docs/proofs.md.
-
-        Example:
-            >>> loop = jaxstab.simulated_pd(0.1, step=2e-3)
-            >>> loop.poles(kp=1000.0, kd=20.0).round(6).tolist()
-            [(0.871652+0j), (0.688348+0j)]
-        """
-        return FewWalls(partial(affine_triple, self.parts), self._grid(gains)).poles()
-
-    def intervals(self, **gain: float) -> StableLine:
-        """All stable values of one gain at a value of the other: complete and proved.
-
-        Each end has a bound of its error and the angle of the root that crosses the circle there.
-
-        Raises: as ``verdict``; TypeError unless one gain is given, and for an array.
-
-        Source: the D-decomposition of eq. (9), likewise; lemma E3 of docs/proofs.md.
-
-        Example:
-            >>> loop = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
-            >>> line = loop.intervals(mass=2.0)
-            >>> [(round(low.value, 9), high.value) for low, high in line.intervals]
-            [(39.515919035, 3995.0)]
-        """
-        names = [each.name for each in self.gains]
-        if len(gain) != 1 or not set(gain) <= set(names):
-            given = ", ".join(gain) or "none"
-            raise TypeError(f"gains given: {given}; give one of {names[0]} and {names[1]}.")
-        ((name, value),) = gain.items()
-        axis = names.index(name)
-        number = checked_number(name, value)
-        start = (number, 0.0) if axis == 0 else (0.0, number)
-        along = (0.0, 1.0) if axis == 0 else (1.0, 0.0)
-        line = stable_line(partial(affine_triple, self.parts), start, along)
+    def _line(self, start: tuple[float, float], along: tuple[float, float]) -> StableLine:
+        line = super()._line(start, along)
         if line.status == LineStatus.UNDECIDED and self.parts.is_reciprocal(start, along):
             return line._replace(status=LineStatus.PROVED, horizon=inf)
         return line
@@ -445,10 +275,10 @@ class Loop:
         """
         from jaxstab.loop.backwards import range_of_number
 
-        pair = Gains(*(checked_number(name, x) for name, x in self._in_order(gains).items()))
+        pair = Gains(*(checked_number(name, x) for name, x in self._named((), gains).items()))
         return range_of_number(self, quantity, pair, between, count)
 
-    def region(self, *, tolerance: float = 1e-6) -> GainRegion:
+    def region(self, *, tolerance: float = TOLERANCE) -> GainRegion:
         """The set of all stable gains, in its connected parts.
 
         It is computed, and drawn, in coordinates in which it is bounded: where the gains move the
@@ -470,8 +300,7 @@ class Loop:
               islands  none found
         """
         checked_number("tolerance", tolerance, 1e-10, is_open=True)
-        loop = ScaledLoop(self._chart.chart, self._scale)
-        return GainRegion(self, region_of(loop, tolerance), self._scale)
+        return GainRegion(self, region_of(ScaledLoop(self._chart.chart, self._scale), tolerance))
 
     def limits(self) -> GainLimits:
         """The largest stable value of each gain, or the least, as of an admittance.
@@ -558,29 +387,9 @@ class Loop:
             damping (N s/m)  39.516  3995       0.79032 to 79.9
             both                                0.78782 to unlimited
         """
-        grid = self._grid(gains)
-        codes = np.asarray(self.verdict(**dict(zip(self._in_order(gains), grid.T, strict=True)))).T
-        triple = partial(affine_triple, self.parts)
-        return margins_of_gains(triple, codes, grid, _names(self.gains).labels)
-
-    def frequency_margins(self, **gains: Numbers) -> FrequencyMargins:
-        """Gain, phase, delay and disk margin, and the peaks of |S| and |T|: proved.
-
-        The loop is opened as by ``to_control``; its delay is one of whole samples.
-
-        Raises: as ``margins``.
-
-        Source: the criterion of Nyquist; lemma E5 of docs/proofs.md.
-
-        Example:
-            >>> loop = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
-            >>> print(f"{loop.frequency_margins(mass=2.0, damping=50.0).sensitivity.value:.2f}")
-            13.32
-        """
-        grid = self._grid(gains)
-        both = dict(zip(self._in_order(gains), np.moveaxis(grid, -1, 0), strict=True))
-        codes, opened = np.asarray(self.verdict(**both)), partial(opened_loop, self.parts)
-        return margins_at_frequencies(opened, codes, grid, self.sample_time)
+        grid = wall_grid(**self._named((), gains))
+        labels = names_of(self.gains).labels
+        return margins_of_gains(self._triple, np.asarray(self._verdicts(grid)), grid, labels)
 
     def tune(self) -> TunedGains:
         """The gains >= 0 of the smallest spectral radius: the fastest decay.
@@ -601,13 +410,8 @@ class Loop:
             '110.95 N s/m, radius 0.7808'
         """
         region = self.region().region
-        linear = self._pairs
-
-        def verdicts(first: Any, second: Any) -> np.ndarray:
-            return np.asarray(linear_verdict(np.asarray(first), np.asarray(second), linear))
-
         shares = self._chart.shares[0] * self._scale[0], self._chart.shares[1] * self._scale[1]
-        walls = Walls.of_loop(linear, verdicts, region)._replace(lowest=0.0, shares=shares)
+        walls = Walls.of_loop(self._pairs, region)._replace(lowest=0.0, shares=shares)
         best = smallest_radius(walls)
         with np.errstate(all="ignore"):
             pair = [float(gain) for gain in self._chart.gains(*np.array(best.wall) * self._scale)]
@@ -639,7 +443,9 @@ class Loop:
             [1.0, 1.56, 1.8336, 1.9244]
         """
         count = checked_count("samples", samples, 1)
-        polynomial = family_of_loop(self._pairs).polynomial(*self._in_units(gains))
+        polynomial = family_of_loop(self._pairs).polynomial(
+            *self._in_units(*self._named((), gains).values())
+        )
         xp = namespace(polynomial)
         start = xp.zeros_like(polynomial[..., 1:])
 
@@ -651,79 +457,53 @@ class Loop:
         unit = xp.concatenate([xp.ones_like(start[..., :1]), start[..., 1:]], axis=-1)
         return xp.moveaxis(repeat_and_keep(count, step, unit)[1], 0, -1)
 
-    def boundary(self, *, tolerance: float = 1e-6) -> Float64[np.ndarray, "point 2"]:
-        """The outline of the stable gains, loop after loop, each of them closed.
-
-        It is the ``outline`` of ``region`` in the gains themselves: NaN or infinite where these
-        are, as an admittance's endless mass.
-
-        Args and Raises: as ``region``. Source: the D-decomposition of eq. (9), likewise.
-
-        Example:
-            >>> robot = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
-            >>> mass, damping = robot.boundary().T
-            >>> print(f"{mass[mass > 0].min():.4f} kg")
-            0.0159 kg
-        """
-        with np.errstate(all="ignore"):
-            outline = self.region(tolerance=tolerance).outline
-            return np.stack(self._chart.gains(*outline.T), axis=-1)
-
-    def plot(self, kind: str = "region", *, ax: "Axes | None" = None, **gains: float) -> "Axes":
-        """Draw the stable gains, islands, and where the first coordinate is largest.
+    def settling_time(
+        self, *, level: float = 0.02, horizon: int = HORIZON, **gains: Numbers
+    ) -> SettlingTime:
+        """The time in s until the motion that ``simulate`` gives stays within a share of its peak.
 
         Args:
-            kind: "region", or "nyquist" or "bode" for the open loop of one pair of gains.
-            ax: the axes of matplotlib to draw in; None makes a figure with matplotlib.pyplot.
-            **gains: both gains of that pair.
+            level: that share, between 0 and 1.
+            horizon: samples; a loop that is not proved to have settled by then is given up.
+            **gains: both, of any shapes.
 
-        Raises: as ``region``; ValueError also if no gains are stable, or the kind is none.
+        Raises: as ``verdict``; TypeError for JAX arrays.
 
-        Source: the D-decomposition of eq. (9), likewise; the criterion of Nyquist.
-
-        Example:
-            >>> loop = jaxstab.simulated_pd(0.1, step=2e-3)
-            >>> loop.plot().get_xlabel(), loop.plot("bode", kp=1000.0, kd=20.0).get_xlabel()
-            ('kp (N m/rad)', 'frequency (Hz)')
-        """
-        pair = gains if kind == "region" else self._in_order(gains)
-        return plot(self, kind, pair, partial(opened_loop, self.parts), ax)
-
-    def to_control(self, **gains: float) -> Any:
-        """The open loop L(z) = (a S + b R)/base as a transfer function of python-control.
-
-        Closed with a feedback of -1 it has the poles of the loop. Where the gains move the leading
-        coefficient of p(z), the parts are those of p over it, by the ``coordinates``: an
-        admittance is opened at its acceleration.
-
-        Raises: as ``verdict``; ImportError without python-control. The gains are single numbers.
-
-        Returns: ``control.TransferFunction`` with dt, the sample time; rounded to float64.
+        Source: eq. (9), likewise; lemma E4 of docs/proofs.md.
 
         Example:
             >>> loop = jaxstab.simulated_pd(0.1, step=2e-3)
-            >>> loop.to_control(kp=1000.0, kd=20.0).dt  # doctest: +SKIP
+            >>> loop.settling_time(kp=1000.0, kd=20.0)
+            Settling: 72 ms (settled)
         """
-        numbers = {name: checked_number(name, gain) for name, gain in gains.items()}
-        first, second = map(float, self._in_units(numbers))
-        return open_loop(self._pairs, (first, second), self.sample_time)
+        level, horizon = checked_level(level, "impact"), checked_count("horizon", horizon, 1)
+        grid = wall_grid(**self._named((), gains))
+        codes = np.asarray(self._verdicts(grid))
+        samples = np.where(codes == Verdict.UNSTABLE, inf, np.nan)
+        for k, pair in stable_pairs(codes, grid):
+            samples.flat[k] = motion_settled_after(self._triple, *pair, level, horizon)
+        return SettlingTime(*settled_answer(samples * self.sample_time))
 
-    def _in_order(self, gains: Mapping[str, Numbers]) -> dict[str, Numbers]:
-        names = [gain.name for gain in self.gains]
-        if sorted(gains) != sorted(names):
-            given = ", ".join(gains) or "none"
-            raise TypeError(f"gains given: {given}; give both {names[0]} and {names[1]}.")
-        return {name: gains[name] for name in names}
+    def _of_chart(self, first: Array, second: Array) -> tuple[Array, Array]:
+        return self._chart.gains(first, second)
 
-    def _grid(self, gains: Mapping[str, Numbers]) -> Float64[np.ndarray, "*grid 2"]:
-        return wall_grid(**self._in_order(gains))
+    def _triple(self) -> Triple:
+        return affine_triple(self.parts)
 
-    def _in_units(self, gains: Mapping[str, Numbers]) -> tuple[Array, Array]:
+    def _opened(self, first: float, second: float) -> tuple[Factored, Factored]:
+        return opened_loop(self.parts, first, second)
+
+    @property
+    def _only_few(self) -> bool:
+        return not self._chart.are_gains
+
+    def _in_units(self, first: Numbers, second: Numbers) -> tuple[Array, Array]:
         """Gains as those of ``_pairs``: without rounding where they are those of the chart."""
-        require_x64(*gains.values())
-        given = [checked_gain(name, gain) for name, gain in self._in_order(gains).items()]
-        first, second = self._chart.of_gains(*float_arrays(*given))
-        return first / self._scale[0], second / self._scale[1]
+        require_x64(first, second)
+        pairs = zip(self.gains, (first, second), strict=True)
+        given = float_arrays(*(checked_gain(gain.name, value) for gain, value in pairs))
+        of_chart = self._chart.of_gains(*given)
+        return of_chart[0] / self._scale[0], of_chart[1] / self._scale[1]
 
     @cached_property
     def _chart(self) -> Coordinates:
@@ -739,11 +519,6 @@ class Loop:
         first, second = self._scale
         chart = partial(affine_triple, self._chart.chart)
         return rounded_triple(lambda: chart().monic(), 1.0 / first, 1.0 / second)
-
-
-def _names(gains: tuple[Gain, Gain]) -> GainNames:
-    first, second = gains
-    return GainNames(first.name, second.name, first.unit, second.unit)
 
 
 def _over_leading(gains: tuple[Gain, Gain], chart: Coordinates) -> tuple[Gain, Gain]:

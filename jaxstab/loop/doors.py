@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from jaxstab.loop.affine import Gain, Loop
+from jaxstab.loop.affine import Loop
+from jaxstab.loop.gains import Gain
 from jaxstab.model.affine import (
     RULES,
     AdmittanceParts,

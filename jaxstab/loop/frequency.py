@@ -6,7 +6,7 @@ theta is a frequency of theta/(2 pi T) Hz. The margin of the delay of a held dev
 ``margins``: an extra delay is no lag alone, for the force then acts between the samples.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from functools import partial
@@ -21,7 +21,6 @@ from jaxstab.conventions import Verdict
 from jaxstab.exact import DelayStatus, Reading, frequency_response, readings, wall_verdict
 from jaxstab.loop.margins import longer_delay, many_text, stable_pairs, verdict_words
 from jaxstab.model.balls import Factored, ball_triple
-from jaxstab.model.device.device import in_steps
 from jaxstab.model.loop import LoopParameters
 from jaxstab.model.parameters import LONGEST_DELAY, wall_grid
 from jaxstab.numbers import checked_number, checked_word
@@ -135,48 +134,29 @@ def _words(name: str, rounding: str, own: AtFrequency) -> list[str]:
     return texts
 
 
-def margins_at_frequencies(
-    opened: Callable[[float, float], OpenLoop],
-    codes: Int8[np.ndarray, "*grid"],
-    pairs: Float64[np.ndarray, "*grid 2"],
-    period: float,
-    delay: Callable[[float, float], Reading] | None = None,
-    *,
-    in_full: bool = True,
+def wall_frequency_margins(
+    loop: Any, first: Numbers, second: Numbers, *, in_full: bool = True
 ) -> FrequencyMargins:
-    """The margins of pairs of gains with these verdicts; ``delay`` has its own in samples."""
+    """The margins of pairs of gains of a loop; not ``in_full`` phase and sensitivity alone."""
+    names = [gain.name for gain in loop.gains]
+    pairs = wall_grid(**dict(zip(names, (first, second), strict=True)))
+    codes = np.asarray(loop.verdict(**dict(zip(names, np.moveaxis(pairs, -1, 0), strict=True))))
+    delay = loop._delay_margin if in_full else None
     found = np.full((7, 3, codes.size), nan)
     for k, pair in stable_pairs(codes, pairs):
-        own = readings(partial(opened, *pair), in_full=in_full)
+        own = readings(partial(loop._opened, *pair), in_full=in_full)
         found[..., k] = own._replace(delay=delay(*pair)) if delay else own
-    units = np.array([1.0, 1.0, degrees(1.0), period, 1.0, 1.0, 1.0])[:, None]
+    units = np.array([1.0, 1.0, degrees(1.0), loop.sample_time, 1.0, 1.0, 1.0])[:, None]
     values, errors, angles = np.moveaxis(found, 1, 0)
     values, errors = values * units, errors * units
     is_rounded = np.isfinite(values) & (units != 1.0)
     errors += np.where(is_rounded, 4.0 * UNIT * np.abs(values), 0.0)
-    columns = np.stack([values, errors, angles / (2.0 * pi * period)], axis=1)
+    columns = np.stack([values, errors, angles / (2.0 * pi * loop.sample_time)], axis=1)
     columns = columns.reshape(7, 3, *codes.shape)
     return FrequencyMargins(named(codes, Verdict), *(AtFrequency(*own) for own in columns))
 
 
-def opened_wall(loop: LoopParameters, stiffness: float, damping: float) -> OpenLoop:
-    """D and N of a wall's open loop."""
-    triple = ball_triple(loop)
-    return triple.base, triple.stiffness.scaled(stiffness).plus(triple.damping.scaled(damping))
-
-
-def wall_frequency_margins(
-    loop: Any, stiffness: Numbers, damping: Numbers, *, in_full: bool = True
-) -> FrequencyMargins:
-    """The margins of walls of a HapticLoop; not ``in_full`` phase and sensitivity alone."""
-    grid = wall_grid(stiffness=stiffness, damping=damping)
-    codes, plain = np.asarray(loop.verdict(grid[..., 0], grid[..., 1])), loop.in_floats()
-    delay = partial(_delay, plain) if in_full and not in_steps(plain.held_device) else None
-    period, opened = float(plain.sample_time), partial(opened_wall, plain)
-    return margins_at_frequencies(opened, codes, grid, period, delay, in_full=in_full)
-
-
-def _delay(loop: LoopParameters, *wall: float) -> Reading:
+def delay_reading(loop: LoopParameters, *wall: float) -> Reading:
     """The delay margin in samples: proved from below, and by an unstable loop from above."""
     short = 2.0**-29  # of a margin, beyond which the loop is tried
     now, (K, B) = float(loop.delay_samples), wall
@@ -192,23 +172,19 @@ def _delay(loop: LoopParameters, *wall: float) -> Reading:
 
 
 def plot(
-    loop: Any,
-    kind: str,
-    gains: Mapping[str, Any],
-    opened: Callable[[float, float], OpenLoop],
-    ax: "Axes | None",
+    loop: Any, kind: str, wall: tuple[Any, ...], gains: Mapping[str, Any], ax: "Axes | None"
 ) -> "Axes":
     """Draw the stable gains of a loop, or L of one pair of gains: ``loop.plot``."""
     checked_word("kind", kind, ("region", "nyquist", "bode"))
     if kind == "region":
         from jaxstab.pictures.style import plot_loop
 
-        if any(gain is not None for gain in gains.values()):
+        if wall or gains:
             raise TypeError('gains are given beside kind "region", which is of all gains.')
         return plot_loop(loop, ax)
     from jaxstab.pictures.frequency import plot_open_loop
 
-    pair = [checked_number(name, gain) for name, gain in gains.items()]
-    margins = loop.frequency_margins(**dict(zip(gains, pair, strict=True)))
-    response = partial(frequency_response, partial(opened, *pair))
+    pair = [checked_number(*gain) for gain in loop._named(wall, gains).items()]
+    response = partial(frequency_response, partial(loop._opened, *pair))
+    margins = loop._frequency_margins(*pair)
     return plot_open_loop(kind, margins, response, float(loop.sample_time), ax)

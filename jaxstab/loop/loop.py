@@ -1,28 +1,26 @@
 """The haptic loop: one value in SI units, its answers as methods."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
-from jaxtyping import Complex128, Float64, Int8
+from jaxtyping import Float64, Int8
 
 from jaxstab import motion, point
 from jaxstab.arrays import Array, Numbers, is_any_jax, is_any_traced, named, pytree
 from jaxstab.conventions import HORIZON, Excitation, Range, Verdict
-from jaxstab.exact import stable_line
+from jaxstab.loop.gains import Gain, TwoGains
 from jaxstab.loop.measured import measured
 from jaxstab.loop.region import TOLERANCE, Gains, WallLimits, WallRegion, scaled, wall_region
-from jaxstab.loop.walls import few_walls, open_loop
-from jaxstab.model import LoopParameters, by_name, checked_gain
+from jaxstab.model import LoopParameters, by_name
 from jaxstab.model.balls import ball_triple
+from jaxstab.model.device.device import in_steps
 from jaxstab.model.loop import refuse_arrays
 from jaxstab.numbers import checked, checked_number, checked_word
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from jaxstab.boxes import HandRange, RobustLimit
     from jaxstab.exact import StableLine
     from jaxstab.loop.backwards import StableValues
@@ -32,11 +30,13 @@ if TYPE_CHECKING:
     from jaxstab.loop.jitter import MovingLimits, MovingLoop, WorstDelays
     from jaxstab.loop.margins import Margins
     from jaxstab.loop.tune import OptimalWall
+    from jaxstab.model.balls import Triple
+    from jaxstab.model.linear_loop import LinearLoop
 
 
 @pytree
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)  # a mistake names this class
-class HapticLoop(LoopParameters):
+class HapticLoop(LoopParameters, TwoGains):
     """A haptic device held by a hand, and the sampled loop that renders a virtual wall on it.
 
     At every sample the wall's force is -(K P(z) + B V(z)) x: K times the position, filtered if
@@ -44,8 +44,9 @@ class HapticLoop(LoopParameters):
     ``verdict``, ``spectral_radius``, ``poles``, ``margins``, ``settling_time``, ``oscillation``,
     ``amplitude``, ``frequency_margins``, ``simulate``, ``contact``; about all walls:
     ``region``, ``limits``, ``stiffness_limits``, ``damping_limits``, ``stiffness_intervals``,
-    ``damping_intervals``, ``boundary_distance``, ``tune``; about all hands of a range:
-    ``worst_hand``, ``robust_limit``; and ``range_of``, ``to_control``. Numbers are in SI units.
+    ``damping_intervals``, ``boundary``, ``boundary_distance``, ``tune``; about all hands of a
+    range: ``worst_hand``, ``robust_limit``; and ``range_of``, ``to_control``. Numbers are in SI
+    units.
 
     Fields may be arrays that broadcast; the loop then stands for many loops. The methods from
     ``verdict`` to ``amplitude`` broadcast them with the walls, if the device is one mass and the
@@ -98,6 +99,10 @@ class HapticLoop(LoopParameters):
         >>> round(plain.alpha(2000.0), 9), plain.beta(20.0), round(plain.damping(0.2), 9)
         (0.02, 0.2, 20.0)
     """
+
+    gains = Gain("stiffness", "N/m"), Gain("damping", "N s/m")
+    coordinates = gains
+    _by_place = True
 
     def region(self, *, tolerance: float = TOLERANCE) -> WallRegion:
         """The set of all stable walls, in its connected parts.
@@ -215,8 +220,7 @@ class HapticLoop(LoopParameters):
             ...     loop.stiffness_intervals(20.0).intervals]
             [(0.0, 35325.0)]
         """
-        self._refuse_many("stiffness_intervals")
-        return self._line((0.0, checked_number("damping", checked_gain("damping", damping))), 0)
+        return self.intervals(damping=damping)
 
     def damping_intervals(self, stiffness: float) -> "StableLine":
         """All stable dampings in N s/m at a stiffness in N/m; as ``stiffness_intervals``.
@@ -232,15 +236,12 @@ class HapticLoop(LoopParameters):
             ...     loop.damping_intervals(20000.0).intervals]
             [(9.457, 181.026)]
         """
-        self._refuse_many("damping_intervals")
-        gain = checked_number("stiffness", checked_gain("stiffness", stiffness))
-        return self._line((gain, 0.0), 1)
+        return self.intervals(stiffness=stiffness)
 
-    def _line(self, start: tuple[float, float], axis: int) -> "StableLine":
-        along = (1.0, 0.0) if axis == 0 else (0.0, 1.0)
-        if found := measured(self):
-            return found.line(start, along)
-        return stable_line(partial(ball_triple, self), start, along)
+    def _line(self, start: tuple[float, float], along: tuple[float, float]) -> "StableLine":
+        self._refuse_many("intervals")
+        found = measured(self)
+        return found.line(start, along) if found else super()._line(start, along)
 
     def range_of(
         self,
@@ -444,62 +445,6 @@ class HapticLoop(LoopParameters):
 
         return LoopsWithHands.from_loop(self, hands, mass, delay, delays, lost).robust_limit()
 
-    def plot(
-        self,
-        kind: str = "region",
-        stiffness: float | None = None,
-        damping: float | None = None,
-        *,
-        ax: "Axes | None" = None,
-    ) -> "Axes":
-        """Draw the stable walls, or the open loop of one wall over frequency.
-
-        Args:
-            kind: "region" for the stable walls, the stiffest of them, islands and, if it applies,
-                the linear rule; "nyquist" and "bode" for the open loop of one wall.
-            stiffness: of that wall in N/m.
-            damping: of that wall in N s/m.
-            ax: the axes of matplotlib to draw in; None makes a figure with matplotlib.pyplot.
-
-        Raises:
-            ValueError: no wall is stable, or the region is unresolved, or the kind is none.
-            TypeError: JAX traces the loop, or a wall is missing, or one too many.
-
-        Source: sec. V and VI of Hulin, Preusche, Hirzinger (2008).
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> loop.plot().get_xlabel(), loop.plot("nyquist", 1000.0, 10.0).get_xlabel()
-            ('stiffness K (N/m)', 'Re L')
-        """
-        self._refuse_many("plot")
-        from jaxstab.loop.frequency import opened_wall, plot
-
-        wall = {"stiffness": stiffness, "damping": damping}
-        return plot(self, kind, wall, partial(opened_wall, self.in_floats()), ax)
-
-    def to_control(self, stiffness: float, damping: float) -> Any:
-        """The open loop of a wall as a transfer function in z of python-control.
-
-        It is G(z) (K P(z) + B V(z)), with device, hold and delay in G: closed with a feedback of -1
-        it has the poles of the loop, and its frequency response shows the margins in a Nyquist
-        plot.
-
-        Args and Raises: see ``jaxstab.conventions``; ImportError without python-control. The gains
-        are single numbers.
-
-        Returns:
-            ``control.TransferFunction`` with dt = T; coefficients rounded to float64.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> loop.to_control(1000.0, 10.0).dt  # doctest: +SKIP
-        """
-        self._refuse_many("to_control")
-        wall = checked_number("stiffness", stiffness), checked_number("damping", damping)
-        gains = self.alpha(wall[0]), self.beta(wall[1])
-        return open_loop(self.linear, gains, float(self.sample_time))
-
     def verdict(
         self,
         stiffness: Numbers,
@@ -548,56 +493,14 @@ class HapticLoop(LoopParameters):
             return self._moving("verdict with delays", delays, lost).verdict(stiffness, damping)
         if found := measured(self):
             return found.verdict(stiffness, damping)
-        few = few_walls(self, stiffness, damping)
-        if few:
+        pair = {"stiffness": stiffness, "damping": damping}
+        grid = self._few(pair)
+        if grid is not None or self.body is None:
             checked_word("resolve", resolve or "exact", ("exact",))
-            return few.verdicts()
-        wall = scaled(self, stiffness, damping)
-        if self.body is None:
-            checked_word("resolve", resolve or "exact", ("exact",))
-            return named(point.linear_verdict(*wall, self.linear), Verdict)
-        return point.verdict(*wall, **self.slice, resolve=resolve, **self.filters)
-
-    def spectral_radius(self, stiffness: Numbers, damping: Numbers) -> "point.SpectralRadius":
-        """The largest modulus of the loop's poles at walls, with a proved error bound.
-
-        Args and Raises: see ``jaxstab.conventions``; bound and status: ``jaxstab.spectral_radius``.
-
-        Source: eq. (9).
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> loop.spectral_radius(1000.0, 10.0)
-            0.9407239707335... +/- ... (proved)
-        """
-        few = few_walls(self, stiffness, damping)
-        if few:
-            return few.spectral_radii()
-        wall = scaled(self, stiffness, damping)
-        if self.body is None:
-            return point.linear_spectral_radius(*wall, self.linear)
-        return point.spectral_radius(*wall, **self.slice, **self.filters)
-
-    def poles(self, stiffness: Numbers, damping: Numbers) -> Complex128[Array, "*grid degree"]:
-        """The poles z of the loop at walls, (*grid, degree), the one of the largest modulus first.
-
-        Args and Raises: see ``jaxstab.conventions``. Accuracy: see ``jaxstab.closed_loop_poles``.
-
-        Source: eq. (9).
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> abs(loop.poles(1000.0, 10.0)).round(4).tolist()
-            [0.9407, 0.9407, 0.0559]
-        """
-        few = few_walls(self, stiffness, damping)
-        known = few.poles() if few else np.full(1, np.nan)
-        if not np.any(np.isnan(known)):
-            return known
-        wall = scaled(self, stiffness, damping)
-        if self.body is None:
-            return point.linear_poles(*wall, self.linear)
-        return point.closed_loop_poles(*wall, **self.slice, **self.filters)
+            resolve = None
+        if grid is not None:
+            return self._verdicts(grid)
+        return named(self._on_grid("verdict", pair, resolve=resolve), Verdict)
 
     def margins(self, stiffness: Numbers, damping: Numbers) -> "Margins":
         """The changes of stiffness, damping and delay, each alone, up to the loss of stability.
@@ -628,28 +531,6 @@ class HapticLoop(LoopParameters):
         found = margins(*scaled(self, stiffness, damping), **by_name(*plant), **self.filters)
         units = self.stiffness(1.0), self.damping(1.0), self.sample_time
         return in_si_units(found, *units)
-
-    def frequency_margins(self, stiffness: Numbers, damping: Numbers) -> "FrequencyMargins":
-        """Gain, phase, delay and disk margin of walls, and the peaks of |S| and |T|: proved.
-
-        Args and Raises: see ``jaxstab.conventions``; TypeError also if JAX traces the loop or the
-        gains. Source: the open loop of eq. (9) on the unit circle; lemma E5 of docs/proofs.md.
-
-        Returns:
-            FrequencyMargins, each with the bound of its error and its frequency in Hz.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> phase = loop.frequency_margins(1000.0, 10.0).phase
-            >>> print(f"{phase.value:.1f} degrees at {phase.frequency:.1f} Hz")
-            52.9 degrees at 20.6 Hz
-        """
-        self._refuse_many("frequency_margins")
-        if found := measured(self):
-            return found.frequency_margins(stiffness, damping)
-        from jaxstab.loop.frequency import wall_frequency_margins
-
-        return wall_frequency_margins(self, stiffness, damping)
 
     def jitter_margin(
         self,
@@ -724,20 +605,6 @@ class HapticLoop(LoopParameters):
             (0.0, 0.001, 0.001, 0.001)
         """
         return self._moving("worst_delays", delays, lost).worst_delays(stiffness, damping)
-
-    def oscillation(self, stiffness: Numbers, damping: Numbers) -> "motion.Oscillation":
-        """Damping ratio and frequency in Hz of the slowest mode of the loop at walls.
-
-        Args and Raises: see ``jaxstab.conventions``. Source: as ``jaxstab.dominant_mode``; Table I.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> round(float(loop.oscillation(20000.0, 20.0).frequency), 1)  # Hz
-            77.5
-        """
-        mode = motion.mode_of(self.poles(stiffness, damping))
-        frequency = mode.frequency / (2.0 * np.pi * self.sample_time)
-        return motion.Oscillation(mode.damping_ratio, frequency)
 
     def settling_time(
         self,
@@ -861,7 +728,8 @@ class HapticLoop(LoopParameters):
         Device and hand move in continuous time. At every sample the wall computes -K x - B v from
         the position x, filtered if there is a filter, and the estimated velocity v; this force
         begins to act after the delay and is held for one sample. Before time 0 the device was at
-        rest where it starts, held there by the hand, and no force was on its way.
+        rest where it starts, held there by the hand, and no force was on its way. A device in z
+        moves from step to step, where the hand's force acts as the wall's does.
 
         Args:
             stiffness, damping: see ``jaxstab.conventions``.
@@ -979,8 +847,41 @@ class HapticLoop(LoopParameters):
             delays=delays, tolerance=tolerance,
         )  # fmt: skip
 
+    def _frequency_margins(self, first: Numbers, second: Numbers) -> "FrequencyMargins":
+        self._refuse_many("frequency_margins")
+        found = measured(self)
+        if found:
+            return found.frequency_margins(first, second)
+        return super()._frequency_margins(first, second)
+
+    def _triple(self) -> "Triple":
+        return ball_triple(self.in_floats())
+
+    def _in_units(self, first: Numbers, second: Numbers) -> tuple[Array, Array]:
+        return scaled(self, first, second)
+
+    @property
+    def _pairs(self) -> "LinearLoop":
+        return self.linear
+
+    @property
+    def _scale(self) -> tuple[float, float]:
+        return self.stiffness(1.0), self.damping(1.0)
+
+    @property
+    def _delay_margin(self) -> Any:
+        from jaxstab.loop.frequency import delay_reading
+
+        plain = self.in_floats()
+        return None if in_steps(plain.held_device) else partial(delay_reading, plain)
+
+    def _on_grid(self, question: str, pair: Mapping[str, Any], **options: Any) -> Any:
+        if self.body is None:
+            return super()._on_grid(question, pair)
+        answer = getattr(point, question)
+        return answer(*scaled(self, *pair.values()), **self.slice, **options, **self.filters)
+
     def _moving(self, method: str, delays: Range | None, lost: int) -> "MovingLoop":
-        """Return the loop with delays that move."""
         self._refuse_many(method)
         from jaxstab.loop.jitter import MovingLoop
 

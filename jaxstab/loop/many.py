@@ -264,7 +264,7 @@ def regions_of(
         if is_open[index]:
             region = loop.region()
             own, _, area[index] = outline_of(region)
-            units[index] = region.units if isinstance(loop, Loop) else units[index]
+            units[index] = region.units
             vertices[index] = own * units[index]
     return _in_shape(ManyRegions(vertices, area * units.prod(axis=1), limits), shape)
 

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, are_numbers, float_arrays, is_jax, namespace
+from jaxstab.batches import on_host
 from jaxstab.conventions import Verdict
 from jaxstab.exact import DelayMargin, TripleAt, delay_margin, stable_line, wall_verdict
 from jaxstab.exact.line import End
@@ -111,15 +112,7 @@ def _ends(
 _DIGITS = 5
 
 
-class MarginNames(NamedTuple):
-    """The names of the rows of a table of margins, with their units."""
-
-    stiffness: str
-    damping: str
-    delay: str
-
-
-def margins_text(margins: tuple[Numbers, ...], names: MarginNames) -> str:
+def margins_text(margins: tuple[Numbers, ...], names: tuple[str, str, str]) -> str:
     """A ``Margins`` as a table: of one wall a row per quantity, of many a row per wall."""
     if not are_numbers(margins):
         return f"Margins{tuple(margins)}"
@@ -139,15 +132,15 @@ def margins_text(margins: tuple[Numbers, ...], names: MarginNames) -> str:
     if np.ndim(verdict) == 0:
         rows = [
             (f"Margins: {codes[0]}", "least", "largest", "factor"),
-            (names.stiffness, *limits[0][0]),
-            (names.damping, *limits[1][0]),
-            (names.delay, "", delays[0], ""),
+            (names[0], *limits[0][0]),
+            (names[1], *limits[1][0]),
+            (names[2], "", delays[0], ""),
         ]
         return table_text(rows)
     heads = [head for name in names[:2] for head in (name, "to", "factor")]
     walls = zip(codes, *limits, delays, strict=True)
     rows = [(code, *stiff, *damp, delay) for code, stiff, damp, delay in walls]
-    return many_text("Margins", "walls", [*heads, names.delay], rows)
+    return many_text("Margins", "walls", [*heads, names[2]], rows)
 
 
 def verdict_words(verdict: Numbers) -> list[str]:
@@ -216,7 +209,7 @@ class Margins(NamedTuple):
 
     def __repr__(self) -> str:
         """A table: a row for each quantity of one wall, or one for each of several walls."""
-        return margins_text(self, MarginNames("alpha", "beta", "extra delay (samples)"))
+        return margins_text(self, ("alpha", "beta", "extra delay (samples)"))
 
 
 class WallMargins(Margins):
@@ -224,7 +217,7 @@ class WallMargins(Margins):
 
     def __repr__(self) -> str:
         """The table of ``Margins`` with units."""
-        return margins_text(self, MarginNames("K (N/m)", "B (N s/m)", "extra delay (s)"))
+        return margins_text(self, ("K (N/m)", "B (N s/m)", "extra delay (s)"))
 
 
 @refuses_loops("margins(K, B)")
@@ -271,14 +264,18 @@ def margins(
     arrays = float_arrays(*values)
     xp = namespace(arrays)
     point: Array = xp.stack(xp.broadcast_arrays(*arrays), axis=-1)
-    if is_jax(point):
-        from jaxstab.loop.margin_slopes import moving_ends
 
-        code, ends = moving_ends(first_crossings, WAYS, point, filters)
-    else:
-        rows: Array = first_crossings(point.reshape(-1, len(values)), filters)
-        table = rows.reshape(*point.shape[:-1], rows.shape[-1])
-        code, ends = table[..., 0], table[..., 1::2]
+    def search(*walls: np.ndarray) -> tuple[Any, ...]:
+        rows = first_crossings(np.stack(walls, axis=-1).reshape(-1, len(walls)), filters)
+        return tuple(np.moveaxis(rows.reshape(*walls[0].shape, rows.shape[-1]), -1, 0))
+
+    like = (np.float64,) * (1 + 2 * len(WAYS))
+    code, *found = on_host(search, *arrays, shape=point.shape[:-1], like=like)
+    ends = xp.stack(found[::2], axis=-1)
+    if is_jax(point):
+        from jaxstab.loop.moving import moving_ends
+
+        ends = moving_ends(point, found[::2], found[1::2], filters)
     return margins_of(point, code, ends)
 
 

@@ -1,11 +1,11 @@
-"""Limits and outlines of loops that JAX traces: searched for on the host, then differentiated.
+"""Limits, outlines and margins under JAX: searched for on the host, then differentiated.
 
 At the stiffest wall a pair of roots is on the circle where the boundary turns or crosses B = 0, or
 two roots are on it at once, at a corner. These are equations for the wall and the roots' angles,
 which the implicit function theorem differentiates by all numbers of the loop. They are those of
 ``circle_equations``, in which the delay is a real number, so that one program serves loops of all
 degrees. Vertices of an outline have the same equations: one at a corner moves with it, any other
-one across the boundary, at a right angle.
+one across the boundary, at a right angle. A margin ends at one root on the circle.
 
 Under vmap the loops are searched together, as ``limits_of`` searches. Inside jit the program of a
 batch (``region.batch``) becomes part of the caller's, if there are enough loops to pay for its
@@ -13,7 +13,7 @@ compilation and JAX traces neither delay nor filters, which decide its shapes. A
 searched there one by one, by a callback.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache, lru_cache, partial
 from math import pi
 from typing import Any, NamedTuple, TypeVar
@@ -39,9 +39,10 @@ from jaxstab.loop.many import (
     stacked,
     triples_of_masses,
 )
+from jaxstab.loop.margins import WAYS
 from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
 from jaxstab.model import LoopParameters
-from jaxstab.model.filters import given_filters
+from jaxstab.model.filters import Filters, given_filters
 from jaxstab.point import closed_loop_poles
 from jaxstab.region import RegionStatus, measures
 from jaxstab.region.batch import Triples, components, cross
@@ -224,7 +225,8 @@ def _extremes(region: WallRegion) -> Float64[np.ndarray, "2 field"]:
     """The two extreme walls of the reachable part, or of all, and the status of the region."""
     main = region.main
     of = region if main is None else main
-    loop, curve, outline, rows = region.loop, of.region.curve, of.region.outline, []
+    curve, outline, rows = of.region.curve, of.region.outline, []
+    loop: LoopParameters = region.loop
     for point, vertex in measures.quadrant_extremes(curve, outline):
         angles = np.full(2, np.nan)
         if np.any(np.isnan(point)):
@@ -367,3 +369,65 @@ def _equations(
     is_on_axis = start[:2] @ other == 0.0
     smooth = jnp.stack([jnp.where(is_on_axis, wall @ other, turning), angles[1]])
     return jnp.concatenate([first, jnp.where(is_corner, second, smooth)])
+
+
+# Margins: the ends of the ways in which a wall is changed.
+
+
+def moving_ends(
+    point: Float64[Array, "*grid 5"],
+    ends: Sequence[Array],
+    angles: Sequence[Array],
+    filters: Filters | None = None,
+) -> Float64[Array, "*grid way"]:
+    """The ends of all ways from points, with their derivatives by these."""
+    ways = zip(WAYS, ends, angles, strict=True)
+    moved = [_moving(point, end, angle, axis, filters) for (axis, _), end, angle in ways]
+    return jnp.stack(moved, axis=-1)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(3, 4))
+def _moving(point: Array, end: Array, angle: Array, axis: int, filters: Filters | None) -> Array:
+    """The ends of a way along an axis, with their derivatives by the points."""
+    del point, angle, axis, filters
+    return end
+
+
+@_moving.defjvp
+def _moving_jvp(
+    axis: int,
+    filters: Filters | None,
+    primals: tuple[Array, Array, Array],
+    tangents: tuple[Array, Array, Array],
+) -> tuple[Array, Array]:
+    point, end, angle = primals
+    is_gain = axis < 2  # of a delay the end is how much longer it is
+    slopes = _slopes(filters)(point, end - point[..., axis] if is_gain else end, angle, axis)
+    moved = jnp.sum(slopes * tangents[0], axis=-1)
+    return end, moved + tangents[0][..., axis] if is_gain else moved
+
+
+@lru_cache(maxsize=16)
+def _slopes(filters: Filters | None) -> Callable[..., Array]:
+    """A function for the derivatives of a step by the point, from p(z) = 0 at the crossing."""
+    nearly_real = 2.0**-29  # of pi: a root this near to the real axis is taken for real
+    responses = Responses.from_filters(filters)
+
+    def slopes(point: Array, step: Array, angle: Array, axis: Array) -> Array:
+        end = jnp.round(angle)
+        is_real = jnp.abs(angle - end) < nearly_real
+        start = pi * jnp.where(is_real, end, angle)
+
+        def equations(crossing: Array, point: Array) -> Array:
+            alpha, beta, *plant = point.at[axis].add(crossing[0])
+            real, imaginary = circle_equations(plant, alpha, beta, crossing[1], responses)
+            return jnp.stack([real, jnp.where(is_real, crossing[1] - start, imaginary)])
+
+        bracketed = jnp.stack([step, start])
+        by_crossing = jax.jacfwd(equations)(bracketed, point)
+        crossing = bracketed - solved(by_crossing, equations(bracketed, point)[:, None])[:, 0]
+        by_crossing, by_point = jax.jacfwd(equations, (0, 1))(crossing, point)
+        moved: Array = -solved(by_crossing, by_point)[0]
+        return moved
+
+    return jax.jit(jnp.vectorize(slopes, signature="(n),(),(),()->(n)"))

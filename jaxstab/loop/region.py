@@ -1,14 +1,14 @@
-"""The stable walls of a loop in SI units: its stable region, scaled to N/m and N s/m."""
+"""The stable gains of a loop, walls among them: its stable region, in the units of the gains."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Array, Numbers, are_numbers, float_arrays, is_jax
+from jaxstab.loop.gains import Gain
 from jaxstab.model import LoopParameters, checked_gain, require_x64
 from jaxstab.model.loop import refuse_arrays
 from jaxstab.numbers import without_noise
@@ -17,6 +17,8 @@ from jaxstab.region.region import loop_region, proved_extremes
 from jaxstab.region.stable_set import GainNames, ShownRegion, limits_text, printed_extremes
 
 TOLERANCE = 1e-6  # of the outline, by default
+Part = TypeVar("Part", bound="GainRegion")
+
 _NAMES = GainNames("K", "B", "N/m", "N s/m")
 
 
@@ -84,7 +86,146 @@ class WallLimits(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False)
-class WallRegion(ShownRegion):
+class GainRegion(ShownRegion):
+    """The stable gains of a loop, in coordinates in which they are bounded.
+
+    Attributes:
+        loop: the loop.
+        region: the same set in dimensionless numbers.
+
+    Example:
+        >>> region = jaxstab.simulated_pd(0.1, step=2e-3).region()
+        >>> region.status.name, region.contains(kp=[1000.0, 1e5], kd=50.0).tolist()
+        ('COMPLETE', [True, False])
+        >>> region.outline.max(axis=0).round(3).tolist(), len(region.components)
+        ([100000.0, 100.0], 1)
+        >>> region.is_empty, region.main is None, region.islands, region.names.labels
+        (False, False, [], ('kp (N m/rad)', 'kd (N m s/rad)'))
+        >>> [point.round(3).tolist() for point in region.extremes]
+        [[100000.0, 0.0], [0.0, 100.0]]
+        >>> region.area, region.extent.round(3).tolist(), len(region.corners)
+        (5000000.0, [100000.0, 100.0], 3)
+        >>> region.in_si_units(np.array([1.0, 2.0])).tolist()
+        [32768.0, 64.0]
+        >>> f"{region.distance(kp=1000.0, kd=50.0):.4f}"
+        '0.0305'
+    """
+
+    loop: Any  # TwoGains
+    region: StableRegion
+
+    @property
+    def names(self) -> GainNames:  # type: ignore[override]
+        """The names and units of the coordinates."""
+        return names_of(self.loop.coordinates)
+
+    @property
+    def units(self) -> tuple[float, float]:
+        """The size of 1 of the dimensionless numbers, in the coordinates.
+
+        Example:
+            >>> jaxstab.simulated_pd(0.1, step=2e-3).region().units
+            (32768.0, 32.0)
+        """
+        return self.loop._scale
+
+    @property
+    def status(self) -> RegionStatus:
+        """The status of the region."""
+        return self.region.status
+
+    @property
+    def is_empty(self) -> bool:
+        """True if no gains are stable."""
+        return self.region.is_empty
+
+    @cached_property
+    def outline(self) -> Float64[np.ndarray, "point 2"]:
+        """The outline, loop after loop, each of them closed, counter-clockwise."""
+        return self.in_si_units(self.region.points)
+
+    @property
+    def corners(self) -> Float64[np.ndarray, "corner 2"]:
+        """The points where two branches of the boundary meet."""
+        return self.in_si_units(self.region.corners)
+
+    @property
+    def area(self) -> float:
+        """The area in the units of the coordinates, without holes."""
+        return float(self.region.area) * self.units[0] * self.units[1]
+
+    @cached_property
+    def components(self: Part) -> list[Part]:
+        """The connected components: the one with small gains, then islands by their area."""
+        if self.region.loops <= 1:
+            return [self] * self.region.loops
+        return [type(self)(self.loop, component) for component in self.region.components]
+
+    @cached_property
+    def main(self: Part) -> Part | None:
+        """The gains that are reached from small ones; None where small gains are not stable."""
+        return next((each for each in self.components[:1] if each.region.main is not None), None)
+
+    @property
+    def islands(self: Part) -> list[Part]:
+        """All other components, the largest first."""
+        return self.components[self.main is not None :]
+
+    @cached_property
+    def extent(self) -> Any:
+        """The extent of the region from end to end, along each coordinate."""
+        return np.ptp(self.outline, axis=0) if len(self.outline) else np.full(2, np.nan)
+
+    @cached_property
+    def _quadrant(self) -> tuple[Any, Any]:
+        first, second = proved_extremes(self.region)
+        return self._point(first), self._point(second)
+
+    @property
+    def extremes(self) -> tuple[Any, Any]:
+        """The points of the largest first and second coordinate, both >= 0."""
+        return self._quadrant
+
+    def contains(self, *wall: Numbers, **gains: Numbers) -> Bool[Array, "*grid"]:
+        """True where gains lie inside the exact boundary; all False if UNRESOLVED."""
+        return self.region.contains(*self._own(wall, gains))
+
+    def distance(self, *wall: Numbers, **gains: Numbers) -> Float64[Array, "*grid"]:
+        """The Euclidean distance of gains to the boundary in dimensionless numbers.
+
+        It is positive inside and negative outside, -inf for an empty region.
+        """
+        return self.region.distance(*self._own(wall, gains))
+
+    def in_si_units(self, points: Float64[np.ndarray, "*grid 2"]) -> Float64[np.ndarray, "*grid 2"]:
+        """Points of dimensionless numbers in the coordinates, such as (K, B)."""
+        return points * np.array(self.units)
+
+    def _own(self, wall: tuple[Any, ...], gains: dict[str, Any]) -> tuple[Array, Array]:
+        return self.loop._in_units(*self.loop._named(wall, gains).values())
+
+    def _point(self, point: Float64[np.ndarray, "2"]) -> Any:
+        exact = zip(self.in_si_units(point), self.extent, strict=True)
+        return np.array([without_noise(*pair) for pair in exact])
+
+    def __repr__(self) -> str:
+        """Return status, extremes and the number of islands."""
+        if not self.components:
+            return f"GainRegion: {self.status.words}"
+        names, (first, second) = self.names, (self.main or self.components[0]).extremes
+        small = "" if self.main else "; small gains are not stable"
+        return "\n".join(
+            [
+                f"GainRegion ({names.stiffness}, {names.damping}): {self.status.words}{small}",
+                f"  largest  {names.at_largest_stiffness(first)}",
+                f"  largest  {names.at_largest_damping(second)}",
+                f"  islands  {len(self.islands) or 'none found'}",
+            ]
+        )
+
+
+@dataclass(frozen=True, repr=False)
+class WallRegion(GainRegion):
     """The stable walls of a loop: its exact stable region, in N/m and N s/m.
 
     ``HapticLoop.region`` makes one. Every number is NaN where no wall is stable, and where the
@@ -130,37 +271,13 @@ class WallRegion(ShownRegion):
         [2000.0, 20.0]
     """
 
-    loop: LoopParameters
-    region: StableRegion
-
     names = _NAMES
-
-    @property
-    def status(self) -> RegionStatus:
-        """The status of the region."""
-        return self.region.status
-
-    @property
-    def is_empty(self) -> bool:
-        """True if no wall is stable."""
-        return self.region.is_empty
-
-    @cached_property
-    def outline(self) -> Float64[np.ndarray, "point 2"]:
-        """The outline as points (K, B), counter-clockwise; loop after loop, each of them closed."""
-        return self.in_si_units(self.region.points)
-
-    @property
-    def corners(self) -> Float64[np.ndarray, "corner 2"]:
-        """The points (K, B) where two branches of the boundary meet."""
-        return self.in_si_units(self.region.corners)
+    __repr__ = ShownRegion.__repr__
 
     @cached_property
     def extent(self) -> Gains:
         """The extent of the region from end to end, in K and in B."""
-        if not len(self.outline):
-            return Gains(np.nan, np.nan)
-        return Gains(*(float(size) for size in np.ptp(self.outline, axis=0)))
+        return Gains(*super().extent.tolist())
 
     @cached_property
     def stiffest(self) -> Gains:
@@ -177,41 +294,15 @@ class WallRegion(ShownRegion):
         """The stiffest and the most damped wall; if none has K >= 0 and B >= 0, of all walls."""
         if not np.isnan(self.stiffest.stiffness):
             return self._quadrant
-        return self._gains(self.region.max_alpha), self._gains(self.region.max_beta)
-
-    @cached_property
-    def _quadrant(self) -> tuple[Gains, Gains]:
-        stiffest, damped = proved_extremes(self.region)
-        return self._gains(stiffest), self._gains(damped)
-
-    @property
-    def area(self) -> float:
-        """The area in N/m times N s/m, without holes."""
-        return float(self.region.area) * self.loop.stiffness(1.0) * self.loop.damping(1.0)
-
-    @cached_property
-    def components(self) -> list["WallRegion"]:
-        """The connected components: the one with small gains, then islands by their area."""
-        if self.region.loops <= 1:
-            return [self] * self.region.loops
-        return [WallRegion(self.loop, component) for component in self.region.components]
-
-    @cached_property
-    def main(self) -> "WallRegion | None":
-        """The walls connected to zero gains; None where small gains are not stable."""
-        return next((each for each in self.components[:1] if each.region.main is not None), None)
-
-    @property
-    def islands(self) -> list["WallRegion"]:
-        """The components that are not connected to zero gains, the largest first."""
-        return self.components[self.main is not None :]
+        return self._point(self.region.max_alpha), self._point(self.region.max_beta)
 
     def limits(self) -> WallLimits:
-        """Return the stiffest and the most damped wall, and those of each island."""
+        """The stiffest and the most damped wall, and those of each island."""
         limits = tuple(_limits_of(*island._printed, island.status) for island in self.islands)
         main = self.reachable
         is_there = not np.isnan(main.stiffest.stiffness)
-        own = _limits_of(*(main._printed if is_there else main._quadrant), self.status)
+        stiffest, damped = main._printed if is_there else main._quadrant
+        own = _limits_of(stiffest, damped, self.status)
         return own._replace(is_reachable=self.main is not None, islands=limits)
 
     @cached_property
@@ -220,80 +311,53 @@ class WallRegion(ShownRegion):
         return Gains(*stiffest), Gains(*damped)
 
     def stiffness_limits(self, damping: Numbers) -> Float64[Array, "*grid 2"]:
-        """Return the smallest and the largest stable K at dampings B in N s/m.
+        """The smallest and the largest stable K at dampings B in N s/m.
 
         NaN where none is stable. Of several intervals the one that reaches farthest is given.
         """
         require_x64(damping)
-        rows = self.loop.beta(checked_gain("damping", damping))
-        return self._last_interval(rows, self.loop.stiffness, axis=1)
+        return self._last_interval(self.loop.beta(checked_gain("damping", damping)), axis=1)
 
     def damping_limits(self, stiffness: Numbers) -> Float64[Array, "*grid 2"]:
-        """Return the smallest and the largest stable B at stiffnesses K in N/m.
-
-        NaN where none is stable. Of several intervals the one that reaches farthest is given.
-        """
+        """The smallest and the largest stable B at stiffnesses K in N/m, likewise."""
         require_x64(stiffness)
-        columns = self.loop.alpha(checked_gain("stiffness", stiffness))
-        return self._last_interval(columns, self.loop.damping, axis=0)
+        return self._last_interval(self.loop.alpha(checked_gain("stiffness", stiffness)), axis=0)
 
     def stiffness_intervals(
         self, damping: Float64[np.ndarray, " row"]
     ) -> Float64[np.ndarray, "row interval 2"]:
-        """Return all intervals of stable K at dampings B in N s/m, ascending, then NaN."""
-        rows = self.loop.beta(np.asarray(checked_gain("damping", damping)))
-        return self._intervals(rows, self.loop.stiffness, axis=1)
+        """All intervals of stable K at dampings B in N s/m, ascending, then NaN."""
+        return self._intervals(self.loop.beta(checked_gain("damping", damping)), axis=1)
 
     def damping_intervals(
         self, stiffness: Float64[np.ndarray, " row"]
     ) -> Float64[np.ndarray, "row interval 2"]:
-        """Return all intervals of stable B at stiffnesses K in N/m, ascending, then NaN."""
-        columns = self.loop.alpha(np.asarray(checked_gain("stiffness", stiffness)))
-        return self._intervals(columns, self.loop.damping, axis=0)
+        """All intervals of stable B at stiffnesses K in N/m, ascending, then NaN."""
+        return self._intervals(self.loop.alpha(checked_gain("stiffness", stiffness)), axis=0)
 
-    def contains(self, stiffness: Numbers, damping: Numbers) -> Bool[Array, "*grid"]:
-        """True where walls (K, B) lie inside the exact boundary; all False if UNRESOLVED."""
-        return self.region.contains(*scaled(self.loop, stiffness, damping))
-
-    def distance(self, stiffness: Numbers, damping: Numbers) -> Float64[Array, "*grid"]:
-        """Return the Euclidean distance of walls to the boundary in units of alpha and beta.
-
-        It is positive inside and negative outside, -inf for an empty region.
-        """
-        return self.region.distance(*scaled(self.loop, stiffness, damping))
-
-    def in_si_units(self, points: Float64[np.ndarray, "*grid 2"]) -> Float64[np.ndarray, "*grid 2"]:
-        """Return points (alpha, beta) as (K, B)."""
-        return points * np.array([self.loop.stiffness(1.0), self.loop.damping(1.0)])
-
-    def _gains(self, point: Float64[np.ndarray, "2"]) -> Gains:
-        exact = self.in_si_units(point)
-        return Gains(
-            *(float(without_noise(*pair)) for pair in zip(exact, self.extent, strict=True))
-        )
+    def _point(self, point: Float64[np.ndarray, "2"]) -> Gains:
+        return Gains(*super()._point(point).tolist())
 
     def _intervals_at(self, value: float, axis: int) -> np.ndarray:
         intervals = self.stiffness_intervals if axis == 1 else self.damping_intervals
         return intervals(np.array([value]))[0]
 
-    def _intervals(
-        self, values: Float64[np.ndarray, " row"], in_units: Callable[[Any], Any], axis: int
-    ) -> np.ndarray:
+    def _intervals(self, values: Float64[np.ndarray, " row"], *, axis: int) -> np.ndarray:
         region = self.region
         ends = measures.interval_ends(region.curve, region.outline, values, axis=axis)
         count = ends.shape[1] // 2  # lines that meet nothing have one column of NaN
-        intervals = in_units(ends[:, : 2 * count].reshape(len(values), count, 2))
+        intervals = self.units[1 - axis] * ends[:, : 2 * count].reshape(len(values), count, 2)
         return without_noise(intervals, self.extent[1 - axis])
 
-    def _last_interval(self, gains: Numbers, in_units: Callable[[Any], Any], axis: int) -> Array:
-        region, (values,) = self.region, float_arrays(gains)
-        boundary = region.curve, region.outline
-        limits = in_units(measures.limits(*boundary, values, axis=axis, outermost=False))
+    def _last_interval(self, gains: Numbers, *, axis: int) -> Array:
+        boundary, (values,) = (self.region.curve, self.region.outline), float_arrays(gains)
+        limits = measures.limits(*boundary, values, axis=axis, outermost=False)
+        limits = self.units[1 - axis] * limits
         return limits if is_jax(limits) else without_noise(limits, self.extent[1 - axis])
 
 
 def scaled(loop: LoopParameters, stiffness: Numbers, damping: Numbers) -> tuple[Array, Array]:
-    """Return walls (K, B) of a loop, checked, as alpha and beta."""
+    """Walls (K, B) of a loop, checked, as alpha and beta."""
     require_x64(stiffness, damping)
     if np.ndim(loop.sample_time) and (loop.velocity or loop.position):
         refuse_arrays(loop)  # windows and cut-offs would be arrays per sample
@@ -306,6 +370,12 @@ def _limits_of(stiffest: Gains, damped: Gains, status: RegionStatus) -> WallLimi
 
 
 @lru_cache(maxsize=64)
-def wall_region(loop: LoopParameters, tolerance: float) -> WallRegion:
-    """Return the stable walls of a loop; the most recent ones are remembered."""
+def wall_region(loop: Any, tolerance: float) -> WallRegion:
+    """The stable walls of a loop; the most recent ones are remembered."""
     return WallRegion(loop, loop_region(loop, tolerance))
+
+
+def names_of(gains: tuple[Gain, Gain]) -> GainNames:
+    """The names of two gains as those of a plane."""
+    first, second = gains
+    return GainNames(first.name, second.name, first.unit, second.unit)

@@ -1,5 +1,6 @@
-"""The walls of a loop that come to rest fastest, in SI units."""
+"""The walls of a loop that come to rest fastest, and of several loops at worst, in SI units."""
 
+from collections.abc import Sequence
 from decimal import ROUND_CEILING
 from math import isnan
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -8,15 +9,18 @@ import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.conventions import Excitation
+from jaxstab.loop.many import in_floats
 from jaxstab.loop.region import TOLERANCE, wall_region
+from jaxstab.model.filters import behind_measured
+from jaxstab.model.loop import as_one
 from jaxstab.motion.settling import checked_level, likely_settling
 from jaxstab.numbers import checked_number, checked_word
 from jaxstab.shown import exact_text, number_text, text_with_bound
 from jaxstab.tuning import TuningStatus
 from jaxstab.tuning.radius import Axis, Values, minimised, smallest_radius
-from jaxstab.tuning.settling import shortest_settling, tuned_loop
+from jaxstab.tuning.settling import TunedLoop, shortest_settling
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # alone: other loops are refused by sentences, not by the types
     from jaxstab.loop.loop import HapticLoop
 
 
@@ -114,7 +118,7 @@ def optimal_wall(
     checked_word("goal", goal, ("radius", "settling"))
     level = checked_level(level, excitation)
     alpha = None if stiffness is None else loop.alpha(checked_number("stiffness", stiffness, 0.0))
-    tuned = tuned_loop(loop)
+    tuned = TunedLoop.from_loop(loop.in_floats())
     tuned = tuned._replace(walls=tuned.walls._replace(lowest=0.0))
     best = smallest_radius(tuned.walls, alpha)
     wall, status = best.wall, best.status
@@ -145,10 +149,11 @@ def optimal_wall(
         return OptimalWall(np.nan, np.nan, np.nan, np.inf, np.inf, status)
     gains = loop.stiffness(wall[0]), loop.damping(wall[1])
     radius = loop.spectral_radius(*gains)
-    settling = loop.settling_time(*gains, level=level, excitation=excitation)
-    return OptimalWall(
-        *gains, float(radius.value), float(radius.error), float(settling.value), status, reached
-    )
+    settling = np.nan  # of a velocity that is measured, the radius alone is known
+    if loop.velocity is None or behind_measured(loop.velocity) is None:
+        found = loop.settling_time(*gains, level=level, excitation=excitation)
+        settling = float(found.value)
+    return OptimalWall(*gains, float(radius.value), float(radius.error), settling, status, reached)
 
 
 def checked_chatter(encoder: float | None, limit: float | None) -> Chatter | None:
@@ -161,3 +166,144 @@ def checked_chatter(encoder: float | None, limit: float | None) -> Chatter | Non
     if limit is None:
         return Chatter(encoder)
     return Chatter(encoder, checked_number("chatter", limit, 0.0, is_open=True, unit="m"))
+
+
+# The wall that settles fastest, at worst, over several loops.
+
+_MOST = 2**15  # samples within which a wall must have settled
+
+Walls = Float64[np.ndarray, " wall"]
+
+
+class CommonWall(NamedTuple):
+    """A wall for several loops.
+
+    Attributes:
+        stiffness: K in N/m.
+        damping: B in N s/m.
+        settling_time: the longest of the loops' settling times in s, each of them proved; infinite
+            if no wall was found.
+        slowest: the loop that takes longest.
+        status: SCANNED or NO_STABLE_GAINS.
+
+    Example:
+        >>> light = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> heavy = jaxstab.HapticLoop(device_mass=0.12, device_damping=1.5, sample_time=1e-3)
+        >>> wall = jaxstab.tune_for_all([light, heavy])
+        >>> wall.slowest is heavy or wall.slowest is light, wall.status.name
+        (True, 'SCANNED')
+    """
+
+    stiffness: float
+    damping: float
+    settling_time: float
+    slowest: "HapticLoop"
+    status: TuningStatus
+
+
+def tune_for_all(
+    loops: "Sequence[HapticLoop]",
+    *,
+    stiffness: float | None = None,
+    level: float = 0.02,
+    excitation: Excitation = "force",
+) -> CommonWall:
+    """The wall whose longest settling time over several loops is the shortest one found.
+
+    The answer holds for these loops alone: give the corners of your ranges of hands, masses and
+    delays, and some loops between. Walls have K >= 0 and B >= 0. The search covers the stable
+    component of the first loop that contains small gains. Among walls that are equally fast at
+    worst, the one that is fastest on average is returned. That no other wall is faster is not
+    proved.
+
+    Args:
+        loops: at least one.
+        stiffness: K in N/m if it is given; only the damping is then chosen.
+        level: half width of the band of the settling time, between 0 and 1.
+        excitation: of the settling time, see ``jaxstab.settling_samples``.
+
+    Raises: see ``jaxstab.conventions``; ValueError also if there is no loop, or for an unknown
+    word.
+
+    Source: the loop of eqs. (1)-(5); settling as in later papers of Hulin, Preusche, Hirzinger.
+
+    Example:
+        >>> loops = [
+        ...     jaxstab.HapticLoop(device_mass=mass, device_damping=1.5, sample_time=1e-3)
+        ...     for mass in (0.09, 0.1, 0.11)
+        ... ]
+        >>> wall = jaxstab.tune_for_all(loops)
+        >>> max(float(loop.settling_time(*wall[:2]).value) for loop in loops) == wall.settling_time
+        True
+    """
+    if not loops:
+        raise ValueError("loops is empty; give at least one loop.")
+    loops = [in_floats(loop) for loop in loops]
+    level = checked_level(level, excitation)
+    if stiffness is not None:
+        stiffness = float(checked_number("stiffness", stiffness, 0.0))
+    region = loops[0].region().reachable
+    wall, longest = (np.nan, np.nan), np.inf
+    for horizon in (64, 512, 4096, _MOST) if len(region.outline) else ():
+
+        def values(*gains: Walls, horizon: int = horizon) -> Walls:
+            """The longest settling times; of equal ones, the shortest on average is least."""
+            nonlocal longest
+            values, inside = np.full(gains[0].size, np.inf), region.contains(*gains)
+            walls = [each[inside] for each in gains]
+            settling = _times(loops, walls, longest, level, excitation, horizon)
+            longest = min(longest, settling.max(axis=0).min(initial=np.inf))
+            values[inside] = settling.max(axis=0) + 1e-6 * settling.mean(axis=0)
+            return values
+
+        axes = wall_axes(region.outline, stiffness)
+        wall, _ = minimised(values, axes, zooms=4, lowest=0.0)
+        if np.isfinite(longest):
+            break
+    if np.isnan(wall[0]):
+        return CommonWall(np.nan, np.nan, np.inf, loops[0], TuningStatus.NO_STABLE_GAINS)
+    times = settling_times(loops, *wall, level, excitation)
+    slowest = loops[int(np.argmax(times))]
+    return CommonWall(*wall, float(times.max()), slowest, TuningStatus.SCANNED)
+
+
+def settling_times(
+    loops: "Sequence[HapticLoop]",
+    stiffness: float,
+    damping: float,
+    level: float = 0.02,
+    excitation: Excitation = "force",
+) -> Float64[np.ndarray, " loop"]:
+    """Return the settling time of one wall in s for each loop; infinite where none is proved."""
+    controllers = {(loop.sample_time, loop.velocity, loop.position) for loop in loops}
+    options: dict[str, Any] = {"level": level, "excitation": excitation, "horizon": _MOST}
+    if len(controllers) == 1 and all(loop.body is not None for loop in loops):
+        loops = [as_one(loops)]
+    settling = [loop.settling_time(stiffness, damping, **options).value for loop in loops]
+    return np.nan_to_num(np.hstack(settling), nan=np.inf, posinf=np.inf)
+
+
+def _times(
+    loops: "Sequence[HapticLoop]",
+    walls: list[Walls],
+    longest: float,
+    level: float,
+    excitation: Excitation,
+    horizon: int,
+) -> Float64[np.ndarray, "loop wall"]:
+    """Likely settling times in s; infinite where there is none, or one is longer than allowed."""
+    times = np.full((len(loops), len(walls[0])), np.inf)
+    hopeful = np.arange(len(walls[0]))
+    for index, loop in enumerate(loops):
+        stiffness, damping = (gains[hopeful] for gains in walls)
+        value = likely_settling(
+            loop, stiffness, damping, level=level, excitation=excitation, horizon=horizon
+        )
+        value = np.where(value <= longest, value, np.inf)  # NaN is none
+        times[index, hopeful] = value
+        hopeful = hopeful[np.isfinite(value)]
+        if not len(hopeful):
+            times[index:] = np.inf
+            break
+    times[:, ~np.isfinite(times.max(axis=0))] = np.inf
+    return times

@@ -210,6 +210,11 @@ def _settled(
         return settled_after(loop, stiffness, damping, excitation, level, horizon)
 
     (samples,) = asked_of_lanes(ask, loop_of, lanes, 1, is_count=True)
+    return settled_answer(samples)
+
+
+def settled_answer(samples: Array) -> Settling:
+    """Settling times, infinite of unstable loops and NaN where not proved, with their status."""
     xp = namespace(samples)
     unsettled = xp.where(xp.isnan(samples), SettlingStatus.NOT_SETTLED, SettlingStatus.UNSTABLE)
     status = xp.where(xp.isfinite(samples), SettlingStatus.SETTLED, unsettled)

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxstab.conventions import Status, Verdict
 from jaxstab.loop import Gains, HapticLoop, tune_for_all
-from jaxstab.loop.tune_for_all import settling_times
+from jaxstab.loop.tune import settling_times
 from jaxstab.model.filters import LONGEST_WINDOW
 from jaxstab.region.curve import bracketed_root
 from jaxstab.scene.answers import (

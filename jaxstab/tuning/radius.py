@@ -27,7 +27,6 @@ from jaxstab.arrays import Array, Numbers, constant, float_arrays, is_any_traced
 from jaxstab.batches import on_host
 from jaxstab.conventions import Status, Verdict
 from jaxstab.model import (
-    by_name,
     checked_delay,
     checked_delta,
     checked_gain,
@@ -43,11 +42,13 @@ from jaxstab.model.filters import (
     given_filters,
 )
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
+from jaxstab.model.loop import LoopParameters, unit_loop
 from jaxstab.numbers import checked_number
-from jaxstab.point.verdicts import verdict
-from jaxstab.region import RegionStatus, StableRegion, stable_region
+from jaxstab.point import linear_spectral_radius, linear_verdict
+from jaxstab.region import RegionStatus, StableRegion
 from jaxstab.region.measures import contains
 from jaxstab.region.pieces import all_inside, without_pair
+from jaxstab.region.region import loop_region
 
 # The one minimiser: a grid over two coordinates, and finer grids around its best points.
 #
@@ -234,20 +235,13 @@ def _newton_step(family: Family, pair: Pair, is_triple: Array) -> Pair:
 
 
 def _derivatives(coefficients: Array) -> Float64[Array, "*grid 4 coefficient"]:
-    """Return polynomials and their first three derivatives, with zeros in front."""
-    places, factors = _places_and_factors(coefficients.shape[-1])
-    return coefficients[..., places] * factors
-
-
-@cache
-def _places_and_factors(size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return where the coefficients of derivatives come from, and times what."""
-    order, place = np.arange(4)[:, None], np.arange(size) - np.arange(4)[:, None]
-    powers = size - 1.0 - place
-    factors = np.ones(place.shape)
-    for below in range(3):
-        factors *= np.where(order > below, powers - below, 1.0)
-    return np.maximum(place, 0), np.where(place >= 0, factors, 0.0)
+    """Polynomials and their first three derivatives, with zeros in front."""
+    xp, powers = namespace(coefficients), np.arange(coefficients.shape[-1])[::-1]
+    found = [coefficients]
+    for _ in range(3):
+        falling = found[-1] * powers
+        found.append(xp.concatenate([0.0 * falling[..., :1], falling[..., :-1]], axis=-1))
+    return xp.stack(found, axis=-2)
 
 
 def _value(coefficients: Array, z: Array) -> Array:
@@ -311,29 +305,23 @@ _NOISE = 1e-3  # relative, of a triple pole whose gains are rounded
 class Walls(NamedTuple):
     """All walls of a loop, p(z) of each, among which the best one is searched.
 
-    verdicts: the proved verdicts of arrays of gains.
     main: the component that the search covers; None for all gains.
     status: of gains that are found; NOT_COMPUTED leaves it to the search.
     lowest: alpha and beta of searches; 0 where gains must be those of walls.
     shares: of alpha and beta, whose sum is at most 1 in searches.
     """
 
+    linear: LinearLoop
     family: Family
-    verdicts: Callable[[Any, Any], np.ndarray]
     main: StableRegion | None = None
     status: TuningStatus = TuningStatus.NOT_COMPUTED
     lowest: float = -np.inf
     shares: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
-    def of_loop(
-        cls,
-        loop: LinearLoop,
-        verdicts: Callable[[Any, Any], np.ndarray],
-        region: StableRegion | None,
-    ) -> "Walls":
+    def of_loop(cls, loop: LinearLoop, region: StableRegion | None) -> "Walls":
         """All walls of any linear loop; the search covers the component of small gains."""
-        walls = cls(family_of_loop(loop), verdicts)
+        walls = cls(loop, family_of_loop(loop))
         if region is None:  # the stable set was always seen to be one component
             return walls
         if region.status == RegionStatus.UNRESOLVED:
@@ -341,6 +329,16 @@ class Walls(NamedTuple):
         if region.main is None:
             return walls._replace(status=TuningStatus.ISLAND)
         return walls._replace(main=region.main if region.islands else None)
+
+    def decay(self, alpha: float, beta: float, radius: float) -> bool:
+        """True if gains are proved stable, and their radius is less than 1 in float64, too."""
+        slow = 0.999  # radii from which on those of coinciding poles may be 1
+        wall = np.asarray(alpha), np.asarray(beta)
+        if linear_verdict(wall[0], wall[1], self.linear) != Verdict.STABLE:
+            return False
+        if radius < slow:
+            return True
+        return bool(linear_spectral_radius(wall[0], wall[1], self.linear).value < 1.0)
 
     def anywhere(self) -> "Walls":
         """The same walls, for a search of all gains."""
@@ -468,7 +466,7 @@ def smallest_radius(walls: Walls, alpha: float | None = None) -> Best:
             edges += [(edge, np.full(1, 1.0 / share)) for share in walls.shares[1:] if share]
             on_edges = [_on_line(walls, axes, below=1.0) for axes in edges]
             best = min([_smallest(walls), *on_edges], key=lambda each: each.radius)
-    if not best.radius < _LARGEST or walls.verdicts(*best.wall) != Verdict.STABLE:
+    if not (best.radius < _LARGEST and walls.decay(*best.wall, best.radius)):
         return best._replace(status=TuningStatus.NO_STABLE_GAINS)
     return best._replace(status=walls.status or best.status)
 
@@ -650,7 +648,8 @@ def minimize_radius(
     *fields, kind = on_host(search, *plants, shape=plants[0].shape, like=like)
     best = Pair(*fields)
     if xp is not np:
-        best = _followed(family_of_loop(_loop_of(plants[0], plants[1], delay, filters)), best, kind)
+        loop = filtered_loop(plants[0], plants[1], int(delay), delay % 1.0, filters or NO_FILTERS)
+        best = _followed(family_of_loop(loop), best, kind)
     return OptimalGains(best.alpha, best.beta, xp.hypot(best.x, best.y), kind)
 
 
@@ -659,23 +658,18 @@ def _searched(
 ) -> tuple[Array, ...]:
     """Return alpha, beta, x and y of the best pairs of plants, and how each is known."""
     plants = zip(gamma.ravel().tolist(), delta.ravel().tolist(), strict=True)
-    best = [smallest_radius(mass_walls(*plant, delay, filters), alpha) for plant in plants]
+    loops = (unit_loop(*plant, delay, **as_keywords(filters)) for plant in plants)
+    best = [smallest_radius(walls_of(loop), alpha) for loop in loops]
     pairs = np.array([each.pair for each in best]).reshape(-1, 4).T
     kinds = np.array([each.status for each in best], np.int8)
     return *(column.reshape(gamma.shape) for column in pairs), kinds.reshape(gamma.shape)
 
 
-def _loop_of(gamma: Array, delta: Array, delay: float, filters: Filters | None) -> LinearLoop:
-    return filtered_loop(gamma, delta, int(delay), delay % 1.0, filters or NO_FILTERS)
-
-
 @lru_cache(maxsize=64)
-def mass_walls(gamma: float, delta: float, delay: float, filters: Filters | None) -> Walls:
-    """All walls of a loop of one mass, its filters in units of one sample."""
-    plant, keywords = by_name(gamma, delta, delay), as_keywords(filters)
-    region = None if filters is None else stable_region(**plant, **keywords)
-    loop = _loop_of(np.float64(gamma), np.float64(delta), delay, filters)
-    return Walls.of_loop(loop, partial(verdict, **plant, **keywords), region)
+def walls_of(loop: LoopParameters) -> Walls:
+    """All walls of a loop in plain numbers, as alpha and beta."""
+    is_plain = loop.body is not None and not (loop.velocity or loop.position)
+    return Walls.of_loop(loop.linear, None if is_plain else loop_region(loop, 1e-6))
 
 
 def _followed(family: Family, best: Pair, kind: Array) -> Pair:
@@ -703,12 +697,3 @@ def _chosen() -> Any:
         return chosen(*primals), [tangent * exactly for tangent in tangents[0]]
 
     return chosen
-
-
-def one_plant(gamma: Numbers, delta: Numbers, delay: Numbers) -> tuple[float, float, float]:
-    """Return the numbers of a plant, checked."""
-    return (
-        checked_number("gamma", checked_gamma(gamma)),
-        checked_number("delta", checked_delta(delta)),
-        checked_number("delay", delay, 0.0),
-    )

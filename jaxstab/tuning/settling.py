@@ -7,7 +7,7 @@ are unique, and lie inside the set of all gains that settle as fast.
 """
 
 from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import partial
 from math import isfinite
 from typing import Any, NamedTuple
 
@@ -15,20 +15,12 @@ import numpy as np
 
 from jaxstab.arrays import Numbers
 from jaxstab.conventions import Excitation
-from jaxstab.model import LoopParameters, by_name, checked_gain, require_x64
-from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, given_filters
-from jaxstab.model.loop import unit_loop
+from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
+from jaxstab.model.filters import Filter, Velocity, as_keywords, given_filters
+from jaxstab.model.loop import LoopParameters, unit_loop
 from jaxstab.motion.response import STRETCH, Loops, positions
-from jaxstab.motion.settling import (
-    Settling,
-    checked_level,
-    deviations,
-    loop_settling_samples,
-    settling_samples,
-)
+from jaxstab.motion.settling import Settling, checked_level, deviations, loop_settling_samples
 from jaxstab.numbers import checked_number
-from jaxstab.point.verdicts import linear_verdict
-from jaxstab.region.region import loop_region
 from jaxstab.tuning.radius import (
     Axis,
     Best,
@@ -37,63 +29,32 @@ from jaxstab.tuning.radius import (
     Values,
     Walls,
     found_gains,
-    mass_walls,
     minimised,
-    one_plant,
     smallest_radius,
+    walls_of,
 )
-
-# A loop to be tuned: one mass, or any linear device. Searches for the best walls ask the same of
-# both: poles, settling, and how walls come to rest.
 
 
 class TunedLoop(NamedTuple):
-    """A loop, and all walls among which the best one is searched.
+    """A loop in plain numbers, and all walls (alpha, beta) among which the best one is searched."""
 
-    settling: the settling of walls in samples, for keywords ``level`` and ``excitation``.
-    deviations: how walls, side by side, come to rest.
-    """
-
+    loop: LoopParameters
     walls: Walls
-    settling: Callable[..., Settling]
-    deviations: Callable[[np.ndarray, np.ndarray, Excitation], Loops]
 
+    @classmethod
+    def from_loop(cls, loop: LoopParameters) -> "TunedLoop":
+        """The loop to be tuned."""
+        return cls(loop, walls_of(loop))
 
-def tuned_loop(loop: LoopParameters) -> TunedLoop:
-    """The loop to be tuned; its gains are ``loop.alpha(K)`` and ``loop.beta(B)``."""
-    loop = loop.in_floats()
-    if loop.body is None:
-        return _device_loop(loop)
-    gamma, delta, delay = loop.slice.values()
-    return mass_loop(gamma, delta, delay, given_filters(**loop.filters))
+    def settling(self, alpha: Any, beta: Any, **options: Any) -> Settling:
+        """The settling of walls in samples, for keywords ``level`` and ``excitation``."""
+        wall = self.loop.stiffness(np.asarray(alpha)), self.loop.damping(np.asarray(beta))
+        return loop_settling_samples(self.loop, *wall, **options)
 
-
-def mass_loop(gamma: float, delta: float, delay: float, filters: Filters | None) -> TunedLoop:
-    """A loop of one mass, its filters in units of one sample."""
-    options = by_name(gamma, delta, delay) | as_keywords(filters)
-
-    walls = mass_walls(gamma, delta, delay, filters)
-    coming_to_rest = partial(deviations, unit_loop(gamma, delta, delay, *(filters or (None, None))))
-    return TunedLoop(walls, partial(settling_samples, **options), coming_to_rest)
-
-
-@lru_cache(maxsize=64)
-def _device_loop(loop: LoopParameters) -> TunedLoop:
-    linear = loop.linear
-
-    def verdicts(alpha: Any, beta: Any) -> np.ndarray:
-        return np.asarray(linear_verdict(np.asarray(alpha), np.asarray(beta), linear))
-
-    def settling(alpha: Any, beta: Any, **options: Any) -> Settling:
-        wall = loop.stiffness(np.asarray(alpha)), loop.damping(np.asarray(beta))
-        return loop_settling_samples(loop, *wall, **options)
-
-    def coming_to_rest(alpha: np.ndarray, beta: np.ndarray, excitation: Excitation) -> Loops:
-        wall = loop.stiffness(alpha), loop.damping(beta)
-        return deviations(loop, *wall, excitation)
-
-    region = loop_region(loop, 1e-6)  # its size beside that of the outline's error
-    return TunedLoop(Walls.of_loop(linear, verdicts, region), settling, coming_to_rest)
+    def deviations(self, alpha: np.ndarray, beta: np.ndarray, excitation: Excitation) -> Loops:
+        """The recursions by which walls, side by side, come to rest."""
+        wall = self.loop.stiffness(alpha), self.loop.damping(beta)
+        return deviations(self.loop, *wall, excitation)
 
 
 def minimize_settling(
@@ -134,7 +95,13 @@ def minimize_settling(
     """
     level = checked_level(level, excitation)
     require_x64(alpha, gamma, delta)
-    loop = mass_loop(*one_plant(gamma, delta, delay), given_filters(velocity, position))
+    plant = (
+        checked_number("gamma", checked_gamma(gamma)),
+        checked_number("delta", checked_delta(delta)),
+        checked_number("delay", delay, 0.0),
+    )
+    filters = as_keywords(given_filters(velocity, position))
+    loop = TunedLoop.from_loop(unit_loop(*plant, **filters))
     if alpha is not None:
         alpha = checked_number("alpha", checked_gain("alpha", alpha))
     return shortest_settling(loop, smallest_radius(loop.walls, alpha), alpha, level, excitation)

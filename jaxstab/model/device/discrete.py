@@ -110,6 +110,29 @@ def sampled_steps(device: InSteps, count: int, delay: int) -> Sampled:
     return below, numerators, whole + (late > 0)
 
 
+@lru_cache(maxsize=64)
+def held_steps(device: InSteps) -> "tuple[fmpq_mat, fmpq_mat | None]":
+    """[[F, G], [0, 1]] of states of which the first is the position, and the velocity's row.
+
+    Its powers are the states after so many steps under a constant force. ValueError if the force
+    moves the device at once.
+    """
+    move, push, outputs = device.one_step()
+    if any(direct for _, direct in outputs):
+        raise ValueError(
+            f"the device ({device}) moves in the same step as the force: its motion is not known; "
+            "give one that moves a step later."
+        )
+    size, position = move.nrows(), outputs[0][0].tolist()[0]
+    left_out = next(k for k in range(size) if position[k] != 0)
+    others = [[int(k == row) for k in range(size)] for row in range(size) if row != left_out]
+    basis = flint.fmpq_mat([position, *others])
+    move, push = basis * move * basis.inv(), basis * push
+    rows = [row + column for row, column in zip(move.tolist(), push.tolist(), strict=True)]
+    held = flint.fmpq_mat([*rows, [0] * size + [1]])
+    return held, outputs[1][0] * basis.inv() if len(outputs) > 1 else None
+
+
 @dataclass(frozen=True)
 class Discrete(InSteps):
     """Numerators and a denominator, or A, B, C and D, of one or two outputs."""

@@ -12,17 +12,21 @@ u' = w (input - u). With A of all states and B of the wall's and the hand's forc
 at the fraction of the delay: what the new force adds by time t is the exponential over t -
 fraction, and the old force has the rest. The exponentials are computed in balls, at a precision
 that is doubled until every entry is known, and rounded once.
+
+A device in z moves from step to step by exact numbers; the hand's force and blow act there, too.
 """
 
+from fractions import Fraction
 from functools import lru_cache
 from itertools import pairwise
 from math import ceil, log2, pi
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from jaxstab.model.device.device import Device
+from jaxstab.model.device.device import Device, in_steps
+from jaxstab.model.device.discrete import InSteps, held_steps
 from jaxstab.model.device.parts import (
     Rational,
     balls_of,
@@ -36,7 +40,7 @@ from jaxstab.model.device.sampling import in_samples, speed_of
 from jaxstab.rounding import RAISED
 
 if TYPE_CHECKING:
-    from flint import arb, arb_mat
+    from flint import arb, arb_mat, fmpq_mat
 
 _MOST_BITS = 1 << 14
 
@@ -78,6 +82,8 @@ def mechanics(
     device: Device, sample_time: float, fraction: float, offsets: tuple[float, ...]
 ) -> Mechanics:
     """The motion of a device at times in [0, 1] after a sample, for a fraction of the delay."""
+    if own := in_steps(device):
+        return _in_steps(own, round(sample_time / own.step), fraction, offsets)
 
     def asked() -> tuple[list["arb"], list["arb"], "arb_mat", list["arb_mat"]]:
         sides = sides_in_samples(device, sample_time)
@@ -109,6 +115,51 @@ def mechanics(
         starts=Starts(at_rest, np.arange(size) >= order, blow),
         thrown=blow / blow[1] if is_thrown else None,
     )
+
+
+def _in_steps(
+    device: InSteps, count: int, fraction: float, offsets: tuple[float, ...]
+) -> Mechanics:
+    """The same of a device in z with so many steps a sample."""
+    places, late = count * np.array(offsets), round(fraction * count)
+    steps = np.rint(places).astype(int).tolist()
+    if not np.allclose(places, steps, rtol=0.0, atol=1e-6):
+        raise ValueError(
+            f"the device ({device}) is known at its steps alone, {count} a sample; give a number "
+            f"of points between samples with which these are steps, such as {count - 1}."
+        )
+    held, velocity = held_steps(device)
+    size = held.nrows() - 1
+    whole = [held**step for step in steps]
+    newer = [held ** max(step - late, 0) for step in steps]
+    values = np.zeros((len(steps), size, size + 3))
+    for at, (all_of_it, new) in enumerate(zip(whole, newer, strict=True)):
+        values[at, :, :size] = _of_fractions(all_of_it)[:size, :size]
+        values[at, :, size + 1] = _of_fractions(new)[:size, size]
+        values[at, :, size] = _of_fractions(all_of_it - new)[:size, size]
+        values[at, :, size + 2] = _of_fractions(all_of_it)[:size, size]
+    first: Any = [[int(k == 0) for k in range(size + 1)]]
+    resting = flint.fmpq_mat((held - held**0).tolist()[:size] + first)
+    try:
+        at_rest = _of_fractions(resting.solve(flint.fmpq_mat([[0]] * size + [[1]])))[:size, 0]
+    except ZeroDivisionError:
+        raise ValueError(
+            f"the device ({device}) has zero DC gain: its transfer function in z is 0 at z = 1; "
+            "give one that moves under a constant force."
+        ) from None
+    speeds, thrown = np.full((len(steps), size + 3), np.nan), None
+    if velocity is not None:
+        row = _of_fractions(velocity)[0] * (device.step * count)
+        speeds = np.einsum("s,osc->oc", row, values)
+        thrown = np.eye(size)[1] / row[1] if size == 2 and row[1] else None
+    blow = count * _of_fractions(held)[:size, size]
+    seen = np.stack([values[:, 0], speeds], axis=1)
+    return Mechanics(values, seen, Starts(at_rest, np.zeros(size, bool), blow), thrown)
+
+
+def _of_fractions(exact_numbers: "fmpq_mat") -> Float64[np.ndarray, "row column"]:
+    rows = exact_numbers.tolist()
+    return np.array([[float(Fraction(int(x.p), int(x.q))) for x in row] for row in rows])
 
 
 Sides = tuple[list["arb"], list["arb"], list["arb"]]

@@ -1,0 +1,344 @@
+"""The answers that all loops of two gains share: p(z) = base + a S + b R, with any polynomials.
+
+A wall on a held device is such a loop, and so are those of ``jaxstab.Loop``. Verdicts, radii, poles
+and intervals are those of lemmas E1 to E3 of docs/proofs.md, which ask nothing of the three parts
+but that the leading coefficient of p(z) does not vanish. A pair of gains takes 0.1 to some
+milliseconds in balls (``jaxstab.exact``); more than a hundred, and gains that JAX has, are a grid
+for ``jaxstab.point``.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, TypeVar
+
+import numpy as np
+from jaxtyping import Complex128, Float64
+
+from jaxstab import motion, point
+from jaxstab.arrays import Array, Numbers, is_any_jax, named
+from jaxstab.conventions import RadiusStatus, Verdict
+from jaxstab.exact import poles, spectral_radius, stable_line, wall_verdict
+from jaxstab.model.parameters import wall_grid
+from jaxstab.numbers import checked_number
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from jaxstab.exact import StableLine
+    from jaxstab.loop.frequency import FrequencyMargins, OpenLoop
+    from jaxstab.model.balls import Triple
+    from jaxstab.model.linear_loop import LinearLoop
+
+Answer = TypeVar("Answer")
+
+_FEW = 100  # pairs of gains, which balls answer one by one
+
+_ON_GRIDS: dict[str, Callable[..., Any]] = {
+    "verdict": point.linear_verdict,
+    "spectral_radius": point.linear_spectral_radius,
+    "closed_loop_poles": point.linear_poles,
+}
+
+
+class Gain(NamedTuple):
+    """A gain of a loop: its name, its unit, and whether users look for its largest value.
+
+    Example:
+        >>> jaxstab.simulated_pd(0.1, step=2e-3).gains[0]
+        Gain(name='kp', unit='N m/rad', sense='largest')
+    """
+
+    name: str
+    unit: str = ""
+    sense: Literal["largest", "least"] = "largest"
+
+
+class TwoGains:
+    """A loop that is affine in two gains.
+
+    A class of these has ``gains`` and ``sample_time``, the parts of p(z), and the units of gains in
+    float64; ``_by_place`` if its gains need no names; and the ``shape`` of many loops.
+    """
+
+    _by_place: ClassVar[bool] = False
+    _delay_margin: ClassVar[Any] = None  # of pairs of gains, beside that of whole samples
+    shape: Any = ()
+    if TYPE_CHECKING:
+        gains: Any
+        region: Any
+        sample_time: Any
+
+    def _triple(self) -> "Triple":
+        """The parts of p(z) in balls of the precision that is set."""
+        raise NotImplementedError
+
+    def _in_units(self, first: Numbers, second: Numbers) -> tuple[Array, Array]:
+        """Gains, checked, as those of ``_pairs``."""
+        raise NotImplementedError
+
+    @property
+    def _pairs(self) -> "LinearLoop":
+        """The parts of a monic p(z) in pairs of float64, by gains of size 1."""
+        raise NotImplementedError
+
+    @property
+    def _scale(self) -> tuple[float, float]:
+        """Gains, or those of the chart, that are 1 in ``_pairs`` and regions."""
+        raise NotImplementedError
+
+    def _of_chart(self, first: Array, second: Array) -> tuple[Array, Array]:
+        """Coordinates of regions as gains."""
+        return first, second
+
+    def _opened(self, first: float, second: float) -> "OpenLoop":
+        """D and N of the open loop N/D."""
+        triple = self._triple()
+        return triple.base, triple.stiffness.scaled(first).plus(triple.damping.scaled(second))
+
+    def _verdict(self, first: float, second: float) -> Verdict:
+        return wall_verdict(self._triple, first, second).verdict
+
+    def _line(self, start: tuple[float, float], along: tuple[float, float]) -> "StableLine":
+        return stable_line(self._triple, start, along)
+
+    def spectral_radius(self, *wall: Numbers, **gains: Numbers) -> "point.SpectralRadius":
+        """The largest modulus of the loop's poles per sample, with a proved error bound.
+
+        Args and Raises: see ``jaxstab.conventions``; a wall goes by place, other gains by their
+        names. Bound and status: see ``jaxstab.spectral_radius``.
+
+        Source: the roots of eq. (9); lemma E2 of docs/proofs.md.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.spectral_radius(1000.0, 10.0)
+            0.9407239707335... +/- ... (proved)
+            >>> loop = jaxstab.simulated_pd(0.1, step=2e-3)
+            >>> round(float(loop.spectral_radius(kp=1000.0, kd=20.0).value), 6)
+            0.871652
+        """
+        pair = self._named(wall, gains)
+        grid = self._few(pair)
+        if grid is None:
+            radii: point.SpectralRadius = self._on_grid("spectral_radius", pair)
+            return radii
+        found = np.transpose(_each(grid, lambda *own: spectral_radius(self._triple, *own)))
+        value, error, status = np.reshape(found, (3, *grid.shape[:-1]))
+        return point.SpectralRadius(value, error, named(status.astype(np.int8), RadiusStatus))
+
+    def poles(self, *wall: Numbers, **gains: Numbers) -> Complex128[Array, "*grid pole"]:
+        """The poles of the loop per sample, the one of the largest modulus first.
+
+        Those of few gains are proved to all digits unless some of them coincide; all others are as
+        accurate as those of ``jaxstab.closed_loop_poles``.
+
+        Args and Raises: as ``spectral_radius``. Source: the roots of eq. (9), likewise.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> abs(loop.poles(1000.0, 10.0)).round(4).tolist()
+            [0.9407, 0.9407, 0.0559]
+            >>> loop = jaxstab.simulated_pd(0.1, step=2e-3)
+            >>> loop.poles(kp=1000.0, kd=20.0).round(6).tolist()
+            [(0.871652+0j), (0.688348+0j)]
+        """
+        pair = self._named(wall, gains)
+        grid = self._few(pair)
+        if grid is not None:
+            values = _each(grid, lambda *own: poles(self._triple, *own).values)
+            if not np.any(np.isnan(values)):
+                return np.reshape(values, (*grid.shape[:-1], -1))
+        found: Array = self._on_grid("closed_loop_poles", pair)
+        return found
+
+    def oscillation(self, *wall: Numbers, **gains: Numbers) -> "motion.Oscillation":
+        """Damping ratio and frequency in Hz of the slowest mode of the loop.
+
+        Args and Raises: as ``spectral_radius``. Source: as ``jaxstab.dominant_mode``; Table I.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> round(float(loop.oscillation(20000.0, 20.0).frequency), 1)  # Hz
+            77.5
+        """
+        mode = motion.mode_of(self.poles(*wall, **gains))
+        frequency = mode.frequency / (2.0 * np.pi * self.sample_time)
+        return motion.Oscillation(mode.damping_ratio, frequency)
+
+    def intervals(self, **gain: float) -> "StableLine":
+        """All stable values of one gain at a value of the other: complete and proved.
+
+        Each end has a bound of its error and the angle of the root that crosses the circle there.
+        Without stiffness a device that nothing holds keeps a root at 1 (``drift``): the intervals
+        are those in which all others are stable.
+
+        Raises: see ``jaxstab.conventions``; TypeError also unless one gain is given, for an array,
+        and if JAX traces the loop.
+
+        Source: the D-decomposition of eq. (9); lemma E3 of docs/proofs.md.
+
+        Example:
+            >>> loop = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
+            >>> line = loop.intervals(mass=2.0)
+            >>> [(round(low.value, 9), high.value) for low, high in line.intervals]
+            [(39.515919035, 3995.0)]
+        """
+        names = [each.name for each in self.gains]
+        if len(gain) != 1 or not set(gain) <= set(names):
+            given = ", ".join(gain) or "none"
+            raise TypeError(f"gains given: {given}; give one of {names[0]} and {names[1]}.")
+        ((name, value),) = gain.items()
+        number = checked_number(name, value)
+        if name == names[0]:
+            return self._line((number, 0.0), (0.0, 1.0))
+        return self._line((0.0, number), (1.0, 0.0))
+
+    def boundary(self, *, tolerance: float = 1e-6) -> Float64[np.ndarray, "point 2"]:
+        """The outline of the stable gains, loop after loop, each of them closed.
+
+        It is the ``outline`` of ``region`` in the gains themselves: NaN or infinite where these
+        are, as an admittance's endless mass.
+
+        Args and Raises: as ``region``. Source: the D-decomposition of eq. (9).
+
+        Example:
+            >>> robot = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
+            >>> mass, damping = robot.boundary().T
+            >>> print(f"{mass[mass > 0].min():.4f} kg")
+            0.0159 kg
+        """
+        outline = self.region(tolerance=tolerance).outline
+        with np.errstate(all="ignore"):
+            return np.stack(self._of_chart(*outline.T), axis=-1)
+
+    def frequency_margins(self, *wall: Numbers, **gains: Numbers) -> "FrequencyMargins":
+        """Gain, phase, delay and disk margin, and the peaks of |S| and |T|: proved.
+
+        The loop is opened as by ``to_control``.
+
+        Args and Raises: as ``spectral_radius``; TypeError also if JAX traces the loop or the gains.
+
+        Returns:
+            FrequencyMargins, each with the bound of its error and its frequency in Hz.
+
+        Source: the open loop of eq. (9) on the unit circle, by the criterion of Nyquist; lemma E5
+        of docs/proofs.md.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> phase = loop.frequency_margins(1000.0, 10.0).phase
+            >>> print(f"{phase.value:.1f} degrees at {phase.frequency:.1f} Hz")
+            52.9 degrees at 20.6 Hz
+        """
+        return self._frequency_margins(*self._named(wall, gains).values())
+
+    def plot(
+        self,
+        kind: str = "region",
+        *wall: float,
+        ax: "Axes | None" = None,
+        **gains: float,
+    ) -> "Axes":
+        """Draw the stable gains, or the open loop of one pair of gains over frequency.
+
+        Args:
+            kind: "region" for the stable gains, the largest of them, islands and, if it applies,
+                the linear rule; "nyquist" and "bode" for the open loop of one pair.
+            *wall: that wall, K in N/m and B in N s/m.
+            ax: the axes of matplotlib to draw in; None makes a figure with matplotlib.pyplot.
+            **gains: both gains of that pair, by their names.
+
+        Raises:
+            ValueError: no gains are stable, or the region is unresolved, or the kind is none.
+            TypeError: JAX traces the loop, or a gain is missing, or one too many.
+
+        Source: sec. V and VI of Hulin, Preusche, Hirzinger (2008); the criterion of Nyquist.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.plot().get_xlabel(), loop.plot("nyquist", 1000.0, 10.0).get_xlabel()
+            ('stiffness K (N/m)', 'Re L')
+            >>> loop = jaxstab.simulated_pd(0.1, step=2e-3)
+            >>> loop.plot().get_xlabel(), loop.plot("bode", kp=1000.0, kd=20.0).get_xlabel()
+            ('kp (N m/rad)', 'frequency (Hz)')
+        """
+        self._refuse_many("plot")
+        from jaxstab.loop.frequency import plot
+
+        return plot(self, kind, wall, gains, ax)
+
+    def to_control(self, *wall: float, **gains: float) -> Any:
+        """The open loop L(z) = (a S + b R)/base as a transfer function of python-control.
+
+        Of a wall it is G(z) (K P(z) + B V(z)), with device, hold and delay in G. Closed with a
+        feedback of -1 it has the poles of the loop, and its frequency response shows the margins in
+        a Nyquist plot. Where the gains move the leading coefficient of p(z), the parts are those of
+        p over it, by the ``coordinates``: an admittance is opened at its acceleration.
+
+        Args and Raises: as ``spectral_radius``; ImportError without python-control. The gains are
+        single numbers.
+
+        Returns:
+            ``control.TransferFunction`` with dt, the sample time; coefficients rounded to float64.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.to_control(1000.0, 10.0).dt  # doctest: +SKIP
+        """
+        self._refuse_many("to_control")
+        pair = self._named(wall, gains)
+        first, second = self._in_units(*(checked_number(*gain) for gain in pair.items()))
+        try:
+            from control import TransferFunction
+        except ImportError as error:
+            raise ImportError(
+                "python-control is not installed; pip install 'jaxstab[control]'."
+            ) from error
+        loop = self._pairs
+        sides = zip(loop.stiffness, loop.damping, strict=True)
+        above = [float((k * float(first) + b * float(second)).rounded()) for k, b in sides]
+        below = [float(coefficient.rounded()) for coefficient in loop.base]
+        return TransferFunction(above, below, dt=float(self.sample_time))
+
+    def _named(self, wall: tuple[Any, ...], gains: Mapping[str, Any]) -> dict[str, Any]:
+        """Both gains by their names, in their order."""
+        names = [gain.name for gain in self.gains]
+        places = [*(names if self._by_place else ()), *["one without a name"] * len(wall)]
+        given = [*zip(places, wall, strict=False), *gains.items()]
+        if sorted(name for name, _ in given) != sorted(names):
+            words = ", ".join(name for name, _ in given) or "none"
+            raise TypeError(f"gains given: {words}; give both {names[0]} and {names[1]}.")
+        return {name: dict(given)[name] for name in names}
+
+    def _few(self, pair: Mapping[str, Any]) -> Float64[np.ndarray, "*grid 2"] | None:
+        """Gains to be answered one by one; None for a grid."""
+        if is_any_jax(self, *pair.values()) or self.shape:
+            return None
+        grid = wall_grid(**pair)
+        return grid if 0 < grid.size <= 2 * _FEW or self._only_few else None
+
+    @property
+    def _only_few(self) -> bool:
+        """True if float64 has no digits for a grid of gains."""
+        return False
+
+    def _on_grid(self, question: str, pair: Mapping[str, Any], **options: Any) -> Any:
+        """The answer of ``jaxstab.point`` to many gains."""
+        return _ON_GRIDS[question](*self._in_units(*pair.values()), self._pairs, **options)
+
+    def _frequency_margins(self, first: Numbers, second: Numbers) -> "FrequencyMargins":
+        from jaxstab.loop.frequency import wall_frequency_margins
+
+        return wall_frequency_margins(self, first, second)
+
+    def _verdicts(self, grid: Float64[np.ndarray, "*grid 2"]) -> Any:
+        codes = np.array(_each(grid, self._verdict), np.int8)
+        return named(codes.reshape(grid.shape[:-1]), Verdict)
+
+    def _refuse_many(self, method: str) -> None:
+        """Refuse a loop that is not one of concrete numbers."""
+
+
+def _each(
+    grid: Float64[np.ndarray, "*grid 2"], question: Callable[[float, float], Answer]
+) -> list[Answer]:
+    return [question(*pair) for pair in grid.reshape(-1, 2).tolist()]
