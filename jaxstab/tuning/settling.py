@@ -164,8 +164,11 @@ def _fewest_samples(
     best, fewest = minimised(at(first_within), axes, zooms=0)
     best, count = (best, int(fewest)) if fewest <= samples else (start.wall, samples)
     while count > 0:
-        point, tail = minimised(tail_from(count - 1), axes, enough=level, lowest=lowest)
-        if tail > level:
+        for grid in (axes, near(best)):  # the whole set may be too coarse for what is left
+            point, tail = minimised(tail_from(count - 1), grid, enough=level, lowest=lowest)
+            if tail <= level:
+                break
+        else:
             break
         count, best = count - 1, point
     calmest, tail = minimised(tail_from(count), near(best), lowest=lowest)
