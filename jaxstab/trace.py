@@ -18,7 +18,7 @@ on a boundary, as those of a hand without stiffness at alpha = 0, have one, too.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import cache
 from math import ceil, inf, pi, prod, sqrt
 from typing import Any, NamedTuple, overload
 
@@ -27,7 +27,7 @@ from contourpy import contour_generator
 from jaxtyping import Bool, Complex128, Float64, Int8, Int64
 
 from jaxstab.arrays import Array, Numbers, is_traced, namespace
-from jaxstab.batches import in_float64, lists
+from jaxstab.batches import lists
 from jaxstab.conventions import AXES, Status
 from jaxstab.model import (
     Filter,
@@ -393,7 +393,14 @@ def _corrector() -> Callable[..., tuple[Array, Array, Array]]:
 
     # What is not of each lane is of the plane.
     of_lane: Any = 0, 0, 0, Monomials(1, None, None, None), None
-    return partial(in_float64, jax.jit(jax.vmap(correct, in_axes=of_lane)))
+    program = jax.jit(jax.vmap(correct, in_axes=of_lane))
+
+    def solved(*arguments: Any) -> tuple[Array, Array, Array]:
+        with jax.enable_x64(True):
+            answer: tuple[Array, Array, Array] = jax.device_get(program(*arguments))
+        return answer
+
+    return solved
 
 
 def _solution(rows: Array, value: Array) -> tuple[Array, Array]:

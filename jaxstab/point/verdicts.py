@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Bool, Int8, Int64
 
 from jaxstab.arrays import Array, Numbers, is_any_traced, named, namespace, tree_map
-from jaxstab.batches import MANY, TILE, compiled, over_tiles
+from jaxstab.batches import MANY, TILE, compiled, lists, over_tiles
 from jaxstab.conventions import Verdict
 from jaxstab.exact import wall_verdict
 from jaxstab.model import (
@@ -396,10 +396,10 @@ def _grouped_verdict(points: Points) -> Int8[np.ndarray, "*grid"]:
         plants = float_plant(
             points.gamma, points.delta, points.delay % 1.0, is_fractional=form.is_fractional
         )
-        for start in range(0, indices.size, _LIST):
-            block = indices[start : start + _LIST]
-            values = tuple(looked_up((*points[:3], plants), points.shape, block))
-            codes.flat[block] = _float_codes(values, form.degree)
+        for block, padded in lists(indices, _LIST):
+            own = padded if block.size >= MANY else block  # fewer are left to NumPy
+            values = tuple(looked_up((*points[:3], plants), points.shape, own))
+            codes.flat[block] = _float_codes(values, form.degree)[: block.size]
     return codes
 
 
