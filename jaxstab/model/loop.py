@@ -174,8 +174,10 @@ class LoopParameters:
         """The device with its hand, also where both are given as numbers of one mass."""
         if self.device is not None:
             return self.device
-        numbers = {"damping": self.hand_damping, "stiffness": self.hand_stiffness}
         device = Device.mass_spring_damper(self.device_mass, damping=self.device_damping)
+        numbers = {"damping": self.hand_damping, "stiffness": self.hand_stiffness}
+        if not (self.hand_mass or any(numbers.values())):
+            return device
         return device.held_by(Hand.mass_spring_damper(self.hand_mass, **numbers))
 
     @property

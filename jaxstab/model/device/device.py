@@ -518,13 +518,13 @@ def _compliance(device: Device) -> Rational:
     for bandwidth in device.bandwidths:
         w = turn(bandwidth)
         function = function.times(Rational(w, polynomial([1.0, 0.0]) + w))
-    return checked_compliance(function, f"the device ({device})")
+    return checked_compliance(function, device)
 
 
 @lru_cache(maxsize=256)
 def _held(device: Device) -> Ports:
     ports = device.mechanism.ports()
-    checked_compliance(Rational(ports.encoder, ports.below), f"the device ({device.mechanism})")
+    checked_compliance(Rational(ports.encoder, ports.below), device.mechanism)
     ports = ports.reduced()
     for hand in device.hands:
         stiffness = hand.dynamic_stiffness()

@@ -496,26 +496,28 @@ def checked_state_space(a: Any, b: Any, c: Any) -> StateSpace:
     return StateSpace(*(tuple(map(tuple, side.tolist())) for side in sides))
 
 
-def checked_compliance(function: Rational, what: str) -> Rational:
+def checked_compliance(function: Rational, device: Any) -> Rational:
     """A strictly proper function of s without its common factor, which must not be unstable."""
     if degree_of(function.denominator) < 0 or degree_of(function.numerator) < 0:
         raise ValueError(
-            f"{what} has the transfer function 0 or no finite one in s; give a device that a force "
-            "moves."
+            f"the device ({device}) has the transfer function 0 or no finite one in s; give a "
+            "device that a force moves."
         )
     reduced, common = function.reduced()
     above, below = reduced.degrees
     if above >= below:
         raise ValueError(
-            f"{what} has degree {above} over {below} in s; position over force is strictly proper: "
-            "a force moves a device, in time."
+            f"the device ({device}) has degree {above} over {below} in s; position over force is "
+            "strictly proper: a force moves a device, in time."
         )
     if below > HIGHEST_ORDER:
-        raise ValueError(f"{what} is of order {below} in s; give {HIGHEST_ORDER} at most.")
+        raise ValueError(
+            f"the device ({device}) is of order {below} in s; give {HIGHEST_ORDER} at most."
+        )
     if _grows(common):
         raise ValueError(
-            f"{what} has a part that grows by itself and that the position does not show, a common "
-            "factor of its transfer function in s: leave it out, or show it."
+            f"the device ({device}) has a part that grows by itself and that the position does not "
+            "show, a common factor of its transfer function in s: leave it out, or show it."
         )
     return reduced
 
