@@ -33,6 +33,7 @@ from jaxstab.model.balls import ball_triple
 _LOOPS, _SMALL = 2000, 10
 _WALLS = 10  # of a loop
 _JUDGED, _MARGINS = 25, 5  # one of so many loops
+_RARE = 0.05  # share of kinds of high degree: mpmath takes minutes to judge one
 _SAME = 1e-7  # relative: one number by two questions
 _TIMED = (1, 0), (1, 6), (20, 3), (40, 20), (100, 1), (200, 3), (200, 283)
 _LATEST = 30.0  # samples: limits and margins take seconds beyond
@@ -46,7 +47,8 @@ def rows(small: bool, points: int | None = None) -> Iterator[Row]:
         tallies = {question: Tally() for question in QUESTIONS}
         for index in range(max(1, round(count * share))):
             rng = np.random.default_rng([20261126, index])
-            _ask(draw(rng), rng, tallies, index)
+            is_judged = index % _JUDGED == 0 and (share > _RARE or not small)
+            _ask(draw(rng), rng, tallies, index, is_judged=is_judged)
         for question, tally in tallies.items():
             if tally.asked:
                 yield tally.row(f"{question} {name}")
@@ -115,8 +117,15 @@ class Tally:
             print(f"differ by {difference:.1e}: {words}", flush=True)
 
 
-def _ask(drawn: Drawn, rng: np.random.Generator, tallies: dict[str, Tally], index: int) -> None:
-    truth = Loop.of(drawn) if index % _JUDGED == 0 else None
+def _ask(
+    drawn: Drawn,
+    rng: np.random.Generator,
+    tallies: dict[str, Tally],
+    index: int,
+    *,
+    is_judged: bool,
+) -> None:
+    truth = Loop.of(drawn) if is_judged else None
     loop = drawn.loop
     units = loop.alpha(1.0), loop.beta(1.0)
     walls = (hostile_walls(rng, drawn.balls, _WALLS) / units).tolist()

@@ -130,11 +130,13 @@ class Asked(NamedTuple):
 
 def rows(small: bool) -> Iterator[Row]:
     for group, cases in groups().items():
-        some = cases[: 2 if small else None]
-        yield from _rows(group, some, 0.05 if small else 0.3, 8 if small else _BATCH)
+        if small:
+            yield from _rows(group, cases[:1], 0.05, 8, runs=1)
+        else:
+            yield from _rows(group, cases, 0.3, _BATCH, runs=_RUNS)
 
 
-def _rows(group: str, cases: list[Case], budget: float, batch: int) -> Iterator[Row]:
+def _rows(group: str, cases: list[Case], budget: float, batch: int, *, runs: int) -> Iterator[Row]:
     truths = [case.end() for case in cases]
     walls = [[float(end * (1 + mpf(share))) for share in SHARES] for end in truths]
     pairs = zip(cases, walls, strict=True)
@@ -163,7 +165,7 @@ def _rows(group: str, cases: list[Case], budget: float, batch: int) -> Iterator[
             "largest_error_found": max((e for e in errors if e <= _MISSED), default=1.0),
             "lines": one.lines,
             **(_verdicts(one, judged[name], stable) if one.verdicts else {}),
-            **(_first(one.process) if one.process else {}),
+            **(_first(one.process, runs) if one.process else {}),
         }
 
 
@@ -187,8 +189,8 @@ def _verdicts(one: Asked, timing: Timing, stable: np.ndarray) -> Row:
     }
 
 
-def _first(words: tuple[str, ...]) -> Row:
-    return {"first_seconds": median(latency.run(words).seconds for _ in range(_RUNS))}
+def _first(words: tuple[str, ...], runs: int) -> Row:
+    return {"first_seconds": median(latency.run(words).seconds for _ in range(runs))}
 
 
 def _tool(name: str, tool: Tool, is_first: bool, cases: list[Case], walls: Walls) -> Asked:
