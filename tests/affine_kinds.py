@@ -16,6 +16,7 @@ import numpy as np
 import recursions
 
 import jaxstab
+from jaxstab.results import RegionStatus
 
 Rng = np.random.Generator
 
@@ -280,6 +281,36 @@ def judged(kind: str, loops: int, gains: int, *, exactly: int = 4, seed: int = 5
                 if code != 3 and (code == 1) != truth:
                     counts["wrong"] += 1
                     counts[f"wrong: {kind} {index} {first!r} {second!r} {code} {truth}"] += 1
+    return counts
+
+
+def judged_regions(kind: str, loops: int, gains: int, *, seed: int = 55) -> Counter[str]:
+    """Count the regions of random loops of a kind, and the gains that they hold or miss wrongly.
+
+    Half of the gains are vertices moved by up to 30 %. Those with an eigenvalue within 1e-4 of the
+    circle are left out.
+    """
+    counts: Counter[str] = Counter()
+    rng = np.random.default_rng([seed, list(KINDS).index(kind)])
+    for index in range(loops):
+        case = KINDS[kind](rng)
+        region, points = case.loop.region(), _points(case, rng, gains)
+        counts[region.status.name] += 1
+        if region.status != RegionStatus.COMPLETE:
+            continue
+        vertices = rng.choice(region.outline, gains // 2)
+        points[: gains // 2] = vertices * (1.0 + rng.uniform(-0.3, 0.3, vertices.shape))
+        if not case.is_affine:  # a recursion divides by its mass
+            points = points[points.all(axis=1)]
+        holds = np.asarray(region.contains(**dict(zip(case.gains, points.T, strict=True))))
+        radii = _radii(case, points)
+        is_far = abs(radii - 1.0) > 1e-4
+        is_wrong = is_far & (holds != (radii < 1.0))
+        counts["gains"] += int(np.sum(is_far))
+        counts["stable"] += int(np.sum(is_far & holds))
+        counts["wrong"] += int(np.sum(is_wrong))
+        for k in np.flatnonzero(is_wrong)[:1]:
+            counts[f"wrong: {kind} {index} {points[k].tolist()} {radii[k]}"] += 1
     return counts
 
 

@@ -355,6 +355,13 @@ def test_54_an_admittance_has_its_region_by_the_inverse_of_its_mass() -> None:
     assert not loop.intervals(mass=0.999 * least).intervals
 
 
+def test_54_gains_that_take_the_highest_power_are_outside() -> None:
+    region = jaxstab.admittance(1e3, sample_time=2e-3, delay_samples=3).region()
+    masses = [0.0, 20.0]
+    assert region.contains(mass=masses, damping=100.0).tolist() == [False, True]
+    assert region.distance(mass=masses, damping=100.0)[0] == -np.inf
+
+
 @pytest.mark.parametrize("rule", ["forward", "backward", "explicit", "trapezoid"])
 def test_54_regions_of_admittances_agree_with_verdicts(rule: str) -> None:
     loop = robot(1e4, 1e-3, 3, rule=rule)

@@ -6,7 +6,7 @@ and growth.
 
 import numpy as np
 import pytest
-from affine_kinds import KINDS, Case, is_stable_exactly, judged
+from affine_kinds import KINDS, Case, is_stable_exactly, judged, judged_regions
 from campaign import many
 from scipy.signal import lfilter
 
@@ -371,3 +371,12 @@ def test_54_verdicts_of_many_random_gains_are_right(kind: str) -> None:
     counts = judged(kind, many(500, 15), 256, exactly=6)
     assert counts["wrong"] == 0, counts
     assert counts["by eigenvalues"] > 100 * counts["loops"]
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("kind", KINDS)
+def test_54_regions_hold_the_gains_of_which_eigenvalues_are_inside(kind: str) -> None:
+    counts = judged_regions(kind, loops := many(1430, 12), 200)
+    assert counts["wrong"] == 0, counts
+    assert counts["UNRESOLVED"] <= 0.01 * loops
+    assert min(counts["stable"], counts["gains"] - counts["stable"]) > 10 * loops

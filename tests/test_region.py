@@ -236,6 +236,26 @@ def test_boundaries_of_many_narrow_arcs_are_followed_from_arc_to_arc(
     assert found.judged > 0
 
 
+@pytest.mark.parametrize(
+    ("place", "wall"),
+    [
+        ((8.96714647846678, 0.4172049856745317, 10.0), (8.967487660388567, -4.489331680361163)),
+        ((10.994880833830576, 0.41194201500209277, 15.0), (10.9377527623, -5.4620106383)),
+        ((4.372295367227223, 10.204221895823999, 36.0), (-0.0654512511, -10.9480871018)),
+        ((7.30719892238767, 95.57187589010753, 47.99993924102788), (-0.0281708880, -96.2215504999)),
+    ],
+)
+def test_dents_between_two_angles_of_the_scan_are_found(
+    place: tuple[float, float, float], wall: tuple[float, float]
+) -> None:
+    """Many roots move alike: the scan has few angles where the outline has hundreds of edges."""
+    lower, _ = truth.spectral_radius(*wall, *place)
+    assert lower > 1.0 + 1e-8
+    region = stable_region(**by_name(*place))
+    assert region.status == RegionStatus.COMPLETE
+    assert not region.contains(*wall)
+
+
 def test_corners_that_other_arcs_cut_off_are_not_taken_for_corners() -> None:
     """Arcs whose ends are 1e-6 from where they would meet: a third one lies between."""
     place = 88.83540206421945, 0.49043601580164486, 13.0

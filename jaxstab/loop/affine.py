@@ -502,7 +502,8 @@ class Loop(TwoGains):
         require_x64(first, second)
         pairs = zip(self.gains, (first, second), strict=True)
         given = float_arrays(*(checked_gain(gain.name, value) for gain, value in pairs))
-        of_chart = self._chart.of_gains(*given)
+        with np.errstate(divide="ignore", invalid="ignore"):  # where p(z) has a lower degree
+            of_chart = self._chart.of_gains(*given)
         return of_chart[0] / self._scale[0], of_chart[1] / self._scale[1]
 
     @cached_property

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from jaxstab.arrays import Array, Numbers, are_numbers, float_arrays, is_jax
+from jaxstab.arrays import Array, Numbers, are_numbers, float_arrays, is_jax, namespace
 from jaxstab.loop.gains import Gain
 from jaxstab.model import LoopParameters, checked_gain, require_x64
 from jaxstab.model.loop import refuse_arrays
@@ -188,21 +188,28 @@ class GainRegion(ShownRegion):
 
     def contains(self, *wall: Numbers, **gains: Numbers) -> Bool[Array, "*grid"]:
         """True where gains lie inside the exact boundary; all False if UNRESOLVED."""
-        return self.region.contains(*self._own(wall, gains))
+        is_known, own = self._own(wall, gains)
+        return self.region.contains(*own) & is_known
 
     def distance(self, *wall: Numbers, **gains: Numbers) -> Float64[Array, "*grid"]:
         """The Euclidean distance of gains to the boundary in dimensionless numbers.
 
-        It is positive inside and negative outside, -inf for an empty region.
+        It is positive inside and negative outside, -inf for an empty region, and where gains take
+        the highest power from p(z).
         """
-        return self.region.distance(*self._own(wall, gains))
+        is_known, own = self._own(wall, gains)
+        return namespace(own).where(is_known, self.region.distance(*own), -np.inf)
 
     def in_si_units(self, points: Float64[np.ndarray, "*grid 2"]) -> Float64[np.ndarray, "*grid 2"]:
         """Points of dimensionless numbers in the coordinates, such as (K, B)."""
         return points * np.array(self.units)
 
-    def _own(self, wall: tuple[Any, ...], gains: dict[str, Any]) -> tuple[Array, Array]:
-        return self.loop._in_units(*self.loop._named(wall, gains).values())
+    def _own(self, wall: tuple[Any, ...], gains: dict[str, Any]) -> tuple[Any, tuple[Any, Any]]:
+        """Gains in the units of the region; first where these have a place there."""
+        first, second = self.loop._in_units(*self.loop._named(wall, gains).values())
+        xp = namespace(first, second)
+        is_known = xp.isfinite(first) & xp.isfinite(second)
+        return is_known, (xp.where(is_known, first, 0.0), xp.where(is_known, second, 0.0))
 
     def _point(self, point: Float64[np.ndarray, "2"]) -> Any:
         exact = zip(self.in_si_units(point), self.extent, strict=True)

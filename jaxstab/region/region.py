@@ -7,13 +7,14 @@ exact boundary (``stable_set``).
 
 Whether that is right is decided by lines of walls whose stable intervals are all known and proved
 (``exact.line``): some rows through each component, and, on the inner and the outer side of each
-limit, 1e-9 beside it, the line of that gain. There the outline must have the same intervals. Where
-arcs do not join, the roots that meet at their ends tell where others begin, and the scan is
-repeated from arc to arc. Where that is not enough, or a line has other intervals, the angles of the
-roots that cross the circle on such lines tell where to look closer: from the third time on the
-other roots are counted in balls, and these angles are drawn out (``curve``), for an arc may be
-narrower than float64 tells two angles apart. A region that fails to the end is UNRESOLVED and
-claims nothing. What is not proved is that no island was missed between angles and rows.
+limit, 1e-9 beside it, the line of that gain. There the outline must have the same intervals; and
+along none of its edges another root may be outside (``_cut_through``). Where arcs do not join, the
+roots that meet at their ends tell where others begin, and the scan is repeated from arc to arc.
+Where that is not enough, or a line has other intervals, the angles of the roots that cross the
+circle on such lines tell where to look closer: from the third time on the other roots are counted
+in balls, and these angles are drawn out (``curve``), for an arc may be narrower than float64 tells
+two angles apart. A region that fails to the end is UNRESOLVED and claims nothing. What is not
+proved is that no island was missed between angles and rows.
 """
 
 from collections.abc import Iterable
@@ -34,9 +35,17 @@ from jaxstab.model.loop import refuses_loops, unit_loop
 from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, LONGEST_DELAY
 from jaxstab.numbers import checked_number
 from jaxstab.region import measures
-from jaxstab.region.curve import Curve, curve_of, drawn_out
+from jaxstab.region.curve import Curve, curve_gains, curve_of, drawn_out, true_angles
 from jaxstab.region.outline import Outline, empty_outline, polygon, survey
-from jaxstab.region.pieces import Centers, Pieces, find_pieces, line_ends, scan_angles, second_pairs
+from jaxstab.region.pieces import (
+    Centers,
+    Pieces,
+    find_pieces,
+    line_ends,
+    others_inside,
+    scan_angles,
+    second_pairs,
+)
 from jaxstab.region.stable_set import StableRegion, components_of, region_within
 
 _BESIDE = 1e-9  # of a limit: how far from it lines are compared
@@ -66,6 +75,8 @@ def region_of(loop: ScaledLoop, tolerance: float) -> StableRegion:
         elif pieces.begin.size:
             outline, deviation = _adapted(c, pieces, tolerance)
             more = _contradictions(c, lines, outline) if deviation < rough else None
+            if more is not None and not len(more):
+                more = _cut_through(c, lines, outline)
             if more is not None and not len(more):
                 return region_within(c, outline)
         elif is_proved:
@@ -212,6 +223,22 @@ def _contradictions(c: Curve, lines: _Lines, outline: Outline) -> Centers | None
     return np.empty((0, 2))
 
 
+def _cut_through(c: Curve, lines: _Lines, outline: Outline) -> Centers:
+    """Return angles of roots on rows through edges along which other roots are outside, too.
+
+    Where many roots move alike, whole arcs lie between two angles of a scan. Float64 asks all edges
+    and balls some of those that fail.
+    """
+    most = 6
+    theta = np.mean(outline.angles[outline.is_curved], axis=1)
+    doubted = theta[~others_inside(c, theta)]
+    few = np.linspace(0, len(doubted) - 1, min(most, len(doubted))).astype(int)
+    some = doubted[few]
+    cut = some[~others_inside(c, some, is_proved=True)]
+    rows = [_inner(lines.at(1, beta).crossings) for beta in curve_gains(c, cut)[1].tolist()]
+    return np.concatenate([np.stack(true_angles(c, np.abs(cut)), axis=1), *rows])
+
+
 def proved_extremes(region: StableRegion) -> tuple[Point, Point]:
     """Return the points of the largest alpha and of the largest beta where the other is >= 0.
 
@@ -284,8 +311,9 @@ def stable_region(
     A search over angles finds the arcs of the boundary curve, refined until they join up to closed
     loops with the straight parts, which are proved. Then rows of walls whose stable intervals are
     all proved are compared with it: some through each component, and the lines 1e-9 within and
-    beyond each limit of the component with small gains. What may be missed is an island between
-    these rows whose arcs lie between two angles (docs/proofs.md, G1 and G3).
+    beyond each limit of the component with small gains; and the other roots are asked for along
+    each edge of the polygon. What may be missed is an island between these rows whose arcs lie
+    between two angles, and a cut between two edges (docs/proofs.md, G1 and G3).
 
     Args:
         gamma, delta: see ``jaxstab.conventions``.
