@@ -199,7 +199,7 @@ class Shapes(NamedTuple):
 
 def degree_of(polynomial: "fmpq_mpoly") -> int:
     """Return the degree in s, -1 for 0."""
-    return max((int(powers[0]) for powers in polynomial.monoms()), default=-1)
+    return int(polynomial.degrees()[0])
 
 
 def rational(numerator: Sequence[float], denominator: Sequence[float]) -> Rational:
@@ -209,9 +209,9 @@ def rational(numerator: Sequence[float], denominator: Sequence[float]) -> Ration
 
 def polynomial(falling: Sequence["float | fmpq"]) -> "fmpq_mpoly":
     """Return the polynomial with these coefficients, highest power of s first."""
-    degree = len(falling) - 1
-    s = _ring().gen(0)
-    return sum(exact(value) * s ** (degree - k) for k, value in enumerate(falling)) + 0 * s
+    powers = range(len(falling) - 1, -1, -1)
+    terms = {(k, 0): exact(value) for k, value in zip(powers, falling, strict=True)}
+    return _ring().from_dict(terms)
 
 
 def turn(hertz: float) -> "fmpq_mpoly":
