@@ -378,5 +378,5 @@ def test_54_verdicts_of_many_random_gains_are_right(kind: str) -> None:
 def test_54_regions_hold_the_gains_of_which_eigenvalues_are_inside(kind: str) -> None:
     counts = judged_regions(kind, loops := many(1430, 12), 200)
     assert counts["wrong"] == 0, counts
-    assert counts["UNRESOLVED"] <= 0.01 * loops
+    assert counts["UNRESOLVED"] <= 1 + 0.05 * loops
     assert min(counts["stable"], counts["gains"] - counts["stable"]) > 10 * loops
