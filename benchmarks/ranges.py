@@ -180,12 +180,14 @@ def _judged_delay(loop: DeviceLoop, wall: np.ndarray, step: float) -> Tally:
 
 
 def _judged_gain(balls: BallLoop, wall: np.ndarray, axis: int, step: float, size: float) -> Tally:
-    def is_stable(way: float) -> bool | None:
+    def is_stable(way: float, most: float = np.inf) -> bool | None:
         moved = wall.copy()
         moved[axis] += way
+        if abs(moved[axis] - wall[axis]) >= most:  # rounded to the end, which is not claimed
+            return None
         return balls.is_stable(*map(float, moved))
 
-    within = [is_stable(part * step) for part in _PARTS]
+    within = [is_stable(part * step, abs(step)) for part in _PARTS]
     farther = step + np.copysign(max(_FARTHER * abs(step), _SHARE * size), step)
     return Tally(
         sum(one is not None for one in within),
