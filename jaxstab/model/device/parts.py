@@ -210,7 +210,9 @@ def rational(numerator: Sequence[float], denominator: Sequence[float]) -> Ration
 def polynomial(falling: Sequence["float | fmpq"]) -> "fmpq_mpoly":
     """Return the polynomial with these coefficients, highest power of s first."""
     powers = range(len(falling) - 1, -1, -1)
-    terms = {(k, 0): exact(value) for k, value in zip(powers, falling, strict=True)}
+    terms: dict[tuple[int, ...], Any] = {
+        (power, 0): exact(value) for power, value in zip(powers, falling, strict=True)
+    }
     return _ring().from_dict(terms)
 
 
