@@ -54,7 +54,7 @@ def _of_degree(
         "numpy eigvals": (some, partial(_by_numpy, few)),
         "numpy.roots": (some, lambda: [np.abs(np.roots(row)).max() for row in few]),
     }
-    timings = interleaved({name: call for name, (_, call) in calls.items()}, budget, least=3)
+    timings = interleaved({name: call for name, (_, call) in calls.items()}, budget=budget, least=3)
     for name, timing in timings.items():
         points, answer = calls[name][0], timing.answer
         columns: dict[str, Any] = {}
