@@ -7,9 +7,9 @@ exact boundary (``stable_set``).
 
 Whether that is right is decided by lines of walls whose stable intervals are all known and proved
 (``exact.line``): some rows through each component, and, on the inner and the outer side of each
-limit, 1e-9 beside it, the line of that gain. There the outline must have the same intervals; and
-along none of its edges another root may be outside (``_cut_through``). Where arcs do not join, the
-roots that meet at their ends tell where others begin, and the scan is repeated from arc to arc.
+limit, 1e-9 beside it, the line of that gain. There the outline must have the same intervals. At
+the middle of each edge the other roots are asked for (``_cut_through``). Where arcs do not join,
+the roots that meet at their ends tell where others begin, and the scan is repeated from arc to arc.
 Where that is not enough, or a line has other intervals, the angles of the roots that cross the
 circle on such lines tell where to look closer: from the third time on the other roots are counted
 in balls, and these angles are drawn out (``curve``), for an arc may be narrower than float64 tells
@@ -224,10 +224,10 @@ def _contradictions(c: Curve, lines: _Lines, outline: Outline) -> Centers | None
 
 
 def _cut_through(c: Curve, lines: _Lines, outline: Outline) -> Centers:
-    """Return angles of roots on rows through edges along which other roots are outside, too.
+    """Return angles of roots on rows through edges at whose middle another root is outside.
 
-    Where many roots move alike, whole arcs lie between two angles of a scan. Float64 asks all edges
-    and balls some of those that fail.
+    Where many roots move alike, whole arcs lie between two angles of a scan. Float64 asks all
+    edges, and balls at most six of those that fail.
     """
     most = 6
     theta = np.mean(outline.angles[outline.is_curved], axis=1)
@@ -311,9 +311,9 @@ def stable_region(
     A search over angles finds the arcs of the boundary curve, refined until they join up to closed
     loops with the straight parts, which are proved. Then rows of walls whose stable intervals are
     all proved are compared with it: some through each component, and the lines 1e-9 within and
-    beyond each limit of the component with small gains; and the other roots are asked for along
-    each edge of the polygon. What may be missed is an island between these rows whose arcs lie
-    between two angles, and a cut between two edges (docs/proofs.md, G1 and G3).
+    beyond each limit of the component with small gains; and the other roots are asked for at the
+    middle of each edge of the polygon. What may be missed is an island between these rows whose
+    arcs lie between two angles, and a cut between two middles (docs/proofs.md, G1 and G3).
 
     Args:
         gamma, delta: see ``jaxstab.conventions``.
