@@ -11,7 +11,7 @@ A loop of which an angle is missed is not resolved by a batch, and is answered b
 """
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Complex128, Float64, Int64
@@ -20,8 +20,13 @@ from jaxstab.arrays import Array
 from jaxstab.batches import alike
 from jaxstab.exact import TripleAt
 from jaxstab.exact.verdict import roots_outside
+from jaxstab.model.balls import Factored
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.model.double_double import DoubleDouble
+from jaxstab.model.filters import reflections
+
+if TYPE_CHECKING:
+    from flint import arb_poly
 
 _SAMPLES = 512  # of half the circle
 _STEPS = 4  # of Newton's method
@@ -104,17 +109,36 @@ def _in_floats(triple_at: TripleAt) -> tuple[Any, Any, Any, bool]:
     with working_precision(FIRST_BITS):
         triple = triple_at().monic()
         degree, sign = triple.degree, (-1) ** triple.degree
-        balls = [
-            [p[degree - k] for k in range(degree + 1)] for p in (q.polynomial() for q in triple)
-        ]
-        high = [list(map(float, row)) for row in balls]
-        low = [
-            [float(c - h) for c, h in zip(*x, strict=True)] for x in zip(balls, high, strict=True)
-        ]
+        high, low = zip(*(_pairs(part, degree) for part in triple), strict=True)
         ends = [[float(part.at_end(z)) * s for part in triple] for z, s in ((1, 1), (-1, sign))]
         base = triple.base._replace(at_one=0, at_minus_one=0).of_radius(1.0 + small)
-        outside = roots_outside(base.rest, most=0)
-    return high, low, ends, bool(outside)
+        is_outside = _is_outside(base.rest)
+        if is_outside is None:
+            is_outside = bool(roots_outside(base.rest, most=0))
+    return high, low, ends, is_outside
+
+
+def _pairs(part: Factored, degree: int) -> tuple[list[float], list[float]]:
+    """The coefficients of a polynomial, highest power first, and what rounding took from them."""
+    falling = part._replace(power=0).polynomial().coeffs()[::-1]
+    before, after = degree - part.degree, part.power
+    high = list(map(float, falling))
+    low = [float(c - h) for c, h in zip(falling, high, strict=True)]
+    return [0.0] * before + high + [0.0] * after, [0.0] * before + low + [0.0] * after
+
+
+def _is_outside(p: "arb_poly") -> bool | None:
+    """True if roots of a polynomial are outside the circle, in float64; None where that is open."""
+    # A step adds roundings of the size of the coefficients; errors and coefficients, over the
+    # leading one, grow by 1/(1 - |k|). If |k| is above 1 by more than the error, the product of all
+    # roots is outside; if no |k| is, the error must be less than the number that is left at last.
+    rising = list(map(float, p.coeffs()))
+    error = 2.0**-50 * len(rising) * sum(map(abs, rising)) / abs(rising[-1])
+    for k in reflections(rising):
+        if not abs(k) < 1.0:
+            return True if abs(k) > 1.0 + error else None
+        error /= 1.0 - abs(k)
+    return False if error < 1.0 else None
 
 
 def _at(z: Complex128[np.ndarray, " row"], *parts: Rows) -> list[tuple[Any, Any]]:

@@ -112,7 +112,7 @@ class Chart(AffineParts):
         whole = affine_triple(self.of)
         parts = [part.without_windows() for part in whole]
         pivot = parts.pop(self.by)
-        leading = pivot.rest[pivot.rest.degree()]
+        leading = pivot.leading
         others = [
             part if part.degree < whole.degree else _lowered(part, pivot, leading) for part in parts
         ]
@@ -121,7 +121,7 @@ class Chart(AffineParts):
 
 def _lowered(part: Factored, pivot: Factored, leading: "arb") -> Factored:
     """A part less so much of another one of its degree that the highest powers cancel."""
-    own = part.plus(pivot.scaled(-part.rest[part.rest.degree()] / leading))
+    own = part.plus(pivot.scaled(-part.leading / leading))
     return own._replace(rest=flint.arb_poly(own.rest.coeffs()[: part.degree - sum(own[1:4])]))
 
 
@@ -181,7 +181,9 @@ def coordinates_of(parts: AffineParts) -> Coordinates:
 
 def _weights(whole: Triple, pivot: int) -> "list[arb]":
     """The weights of base and gains in the leading coefficient of p(z), over that of one part."""
-    leading = [part.polynomial()[whole.degree] for part in whole]
+    leading = [
+        part.leading if part.degree == whole.degree else flint.arb(0) for part in whole
+    ]
     return [value / leading[pivot] for value in leading]
 
 

@@ -83,8 +83,13 @@ class Factored(NamedTuple):
         """The degree; -1 for 0."""
         if self.is_zero:
             return -1
-        plain = self.without_windows()
-        return int(plain.rest.degree()) + sum(plain[1:4])
+        known = self.power + self.at_one + self.at_minus_one + sum(n - 1 for n in self.windows)
+        return int(self.rest.degree()) + known
+
+    @property
+    def leading(self) -> "arb":
+        """The coefficient of the highest power, which no known factor changes."""
+        return self.rest[self.rest.degree()]
 
     @property
     def order_at_minus_one(self) -> int:
@@ -139,6 +144,8 @@ class Factored(NamedTuple):
 
     def without_windows(self) -> "Factored":
         """The same polynomial with the windows multiplied into the rest."""
+        if not self.windows:
+            return self
         rest, minus = self.rest, self.at_minus_one
         for n in self.windows:
             if n % 2 == 0:  # W_n = (z + 1) (1 + z^2 + ... + z^(n-2))
@@ -158,10 +165,11 @@ class Factored(NamedTuple):
     def polynomial(self) -> "arb_poly":
         """The polynomial multiplied out."""
         plain = self.without_windows()
-        known = (
-            flint.arb_poly([-1, 1]) ** plain.at_one * flint.arb_poly([1, 1]) ** plain.at_minus_one
-        )
-        return (plain.rest * known).left_shift(plain.power)
+        product = plain.rest
+        for root, count in ((1, plain.at_one), (-1, plain.at_minus_one)):
+            if count:
+                product *= flint.arb_poly([-root, 1]) ** count
+        return product.left_shift(plain.power) if plain.power else product
 
 
 @dataclass(frozen=True)
@@ -191,9 +199,9 @@ class Triple:
     def monic(self) -> "Triple":
         """The parts over the leading coefficient of the base, which no gain moves."""
         base, *others = (part.without_windows() for part in self)
-        leading = base.rest[base.rest.degree()]
-        rising = [c / leading for c in base.rest.coeffs()[:-1]]
-        by_stiffness, by_damping = (part.scaled(1 / leading) for part in others)
+        unit = 1 / base.leading
+        by_stiffness, by_damping = (part.scaled(unit) for part in others)
+        rising = (base.rest * unit).coeffs()[:-1]
         base = base._replace(rest=flint.arb_poly([*rising, flint.arb(1)]))
         return Triple(base, by_stiffness, by_damping, self.yielding)
 
