@@ -161,7 +161,7 @@ def test_random_runs_are_those_of_scipy_with_events(rng: np.random.Generator) ->
 
 @pytest.mark.campaign
 def test_200_random_runs_are_those_of_scipy_with_events(rng: np.random.Generator) -> None:
-    assert_runs_are_true(rng, campaign.many(200, 20), 60)
+    assert_runs_are_true(rng, campaign.many(200, 12), 60)
 
 
 def test_random_devices_move_as_in_scipy_with_events(rng: np.random.Generator) -> None:
@@ -170,7 +170,7 @@ def test_random_devices_move_as_in_scipy_with_events(rng: np.random.Generator) -
 
 @pytest.mark.campaign
 def test_200_random_devices_move_as_in_scipy_with_events(rng: np.random.Generator) -> None:
-    assert_runs_are_true(rng, campaign.many(200, 20), 40, random_device)
+    assert_runs_are_true(rng, campaign.many(200, 12), 40, random_device)
 
 
 def test_a_free_mass_slides_until_friction_stops_it() -> None:

@@ -650,7 +650,7 @@ def test_filters_whose_coefficients_are_beyond_float64_are_refused() -> None:
         )
 
 
-@pytest.mark.parametrize("count", [3, pytest.param(many(300, 40), marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("count", [3, pytest.param(many(300, 20), marks=pytest.mark.campaign)])
 def test_regions_of_decay_rates_hold_the_walls_with_all_roots_in_the_circle(count: int) -> None:
     right = unresolved = 0
     for number in range(count):

@@ -42,7 +42,7 @@ def test_margins_and_peaks_are_those_of_mpmath(number: int) -> None:
 
 @pytest.mark.campaign
 def test_no_margin_of_random_loops_is_wrong() -> None:
-    for number in range(many(1000, small=30)):
+    for number in range(many(1000, small=20)):
         asked = open_loops.drawn(number, seed=551)
         assert list(open_loops.wrong(asked)) == [], asked.words
 

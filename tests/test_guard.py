@@ -234,7 +234,7 @@ def test_of_208_requests_none_grows(tmp_path: Path) -> None:
     """Clamped for constant delays and asked with the delay 0, 88 did."""
     requests = many(208, 64)
     for given in ({}, {"lost": 1}):
-        moving = build_guard(LIGHT, HandRange(), **RANGES, **given, cells=(1, 1, many(16, 8)))
+        moving = build_guard(LIGHT, HandRange(), **RANGES, **given, cells=(1, 1, many(16, 4)))
         assert grown(moving, tmp_path, "", requests) == 0
     constant = build_guard(LIGHT, HandRange(), **RANGES, cells=(1, 4, 16), constant_delay=True)
     assert grown(constant, tmp_path, ", 1e-3", requests) > requests / 40

@@ -17,7 +17,7 @@ from benchmarks.truth.random_loops import DeviceLoop, MassLoop
 from jaxstab.model import DoubleDouble, Filter
 from jaxstab.model.linear_loop import LinearLoop, filter_factors, filtered_loop, size_of
 
-MORE = pytest.param(many(1000), marks=pytest.mark.campaign)
+MORE = pytest.param(many(1000, 60), marks=pytest.mark.campaign)
 
 
 def off(pair: DoubleDouble, true: flint.arb | flint.fmpq) -> flint.arb:

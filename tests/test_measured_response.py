@@ -128,7 +128,7 @@ def test_walls_are_judged_as_their_roots_are(name: str) -> None:
     case, rng = CASES[name], np.random.default_rng(55)
     loops = [measured(case, noisy(case, 55)), measured(case, noisy(case, 55), NOISE)]
     limits = loops[0].limits()
-    count = many(300, 30)
+    count = many(300, 15)
     walls = rng.uniform(0.0, 2.0, (count, 2)) * [limits.stiffness, limits.damping]
     truth = np.array([case.is_stable(*wall) for wall in walls])
     plain, within = (np.asarray(loop.verdict(*walls.T)) for loop in loops)

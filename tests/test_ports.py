@@ -216,7 +216,7 @@ def test_random_chains_against_matrix_exponentials(seed: int) -> None:
 
 @pytest.mark.campaign
 def test_many_random_chains_against_matrix_exponentials() -> None:
-    for seed in range(6, 6 + many(500, small=40)):
+    for seed in range(6, 6 + many(500, small=20)):
         check_a_chain(seed)
 
 

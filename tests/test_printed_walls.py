@@ -125,7 +125,7 @@ def test_limits_are_stable_as_they_are_printed() -> None:
 
 @pytest.mark.campaign
 def test_limits_of_many_scenes_are_stable_as_they_are_printed() -> None:
-    assert_limits_are_stable(range(17, 17 + many(1000, 40)))
+    assert_limits_are_stable(range(17, 17 + many(1000, 25)))
 
 
 @pytest.mark.campaign

@@ -14,7 +14,7 @@ from jaxstab.guard.build import CONSTANT_CELLS, plan_guard
 from jaxstab.results import Guard
 
 Range = tuple[float, float]
-SCENES = many(100, small=3)
+SCENES = many(100, small=2)
 NAMES = "mass", "stiffness", "damping"
 
 

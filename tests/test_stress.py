@@ -8,7 +8,7 @@ from benchmarks.truth.judge import CERTIFIED
 
 pytestmark = pytest.mark.campaign
 
-LOOPS = many(600_000, small=30_000)
+LOOPS = many(600_000, small=20_000)
 DELAYS = {0.0: 2, 0.5: 1}  # and shares of the loops: each delay is compiled
 
 

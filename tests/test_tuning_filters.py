@@ -229,7 +229,7 @@ class TestTune:
         assert best.radius <= at_zero.radius * (1.0 + 1e-8)
         assert best.stiffness == 0.0
 
-    @pytest.mark.parametrize("count", [4, pytest.param(many(1000, 60), marks=pytest.mark.campaign)])
+    @pytest.mark.parametrize("count", [4, pytest.param(many(1000, 40), marks=pytest.mark.campaign)])
     def test_51_18_other_searches_find_no_more_than_the_status_says(self, count: int) -> None:
         rng = np.random.default_rng([20120412, 1])
         assert max(better_wall(ordinary_loop(rng), rng) for _ in range(count)) < MOST_FOUND

@@ -63,7 +63,7 @@ class Claim:
     is_misprint: bool = False
 
     def words(self, finding: Finding) -> str:
-        """Return what becomes of the claim in a word or two."""
+        """The fate of the claim in a word or two."""
         if self.is_misprint:
             return "misprint" if not finding.agrees else "no misprint"
         return "agrees" if finding.agrees else "differs"
