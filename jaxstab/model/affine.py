@@ -181,9 +181,7 @@ def coordinates_of(parts: AffineParts) -> Coordinates:
 
 def _weights(whole: Triple, pivot: int) -> "list[arb]":
     """The weights of base and gains in the leading coefficient of p(z), over that of one part."""
-    leading = [
-        part.leading if part.degree == whole.degree else flint.arb(0) for part in whole
-    ]
+    leading = [part.leading if part.degree == whole.degree else flint.arb(0) for part in whole]
     return [value / leading[pivot] for value in leading]
 
 

@@ -65,6 +65,7 @@ def minimised(
     values: Values,
     axes: tuple[Axis, Axis],
     *,
+    first: Float64[np.ndarray, " point"] | None = None,
     starts: int = 1,
     points: int = 33,
     reach: int = 4,
@@ -79,6 +80,7 @@ def minimised(
     Args:
         values: infinite where a point does not count.
         axes: the first grid, increasing; an axis of one value is fixed.
+        first: the values on it, if they are known.
         starts: how many local minima of the first grid are followed.
         points: on an axis of finer grids.
         reach: steps of a grid, to each side of its best point, over which the next one extends.
@@ -86,7 +88,7 @@ def minimised(
         enough: a value at which the search ends; minima that cannot reach it are given up.
         lowest: no coordinate of a finer grid is below it.
     """
-    first = values(*(mesh.ravel() for mesh in np.meshgrid(*axes, indexing="ij")))
+    first = values(*on_grid(axes)) if first is None else first
     first = first.reshape([axis.size for axis in axes])
     places = _local_minima(first)[:starts].T
     if not places.size:
@@ -116,6 +118,11 @@ def minimised(
         centres, least, halves = centres[:, is_open], least[is_open], halves[:, is_open]
         halves = halves * (reach / (points // 2))
     return (float(best[0]), float(best[1])), value
+
+
+def on_grid(axes: tuple[Axis, Axis]) -> list[Axis]:
+    """Both coordinates of the points of a grid."""
+    return [mesh.ravel() for mesh in np.meshgrid(*axes, indexing="ij")]
 
 
 def _extent(axis: Axis, index: np.ndarray, reach: int) -> Axis:

@@ -7,7 +7,7 @@ are unique, and lie inside the set of all gains that settle as fast.
 """
 
 from collections.abc import Callable
-from functools import partial
+from functools import lru_cache, partial
 from math import isfinite
 from typing import Any, NamedTuple
 
@@ -30,6 +30,7 @@ from jaxstab.tuning.radius import (
     Walls,
     found_gains,
     minimised,
+    on_grid,
     smallest_radius,
     walls_of,
 )
@@ -138,6 +139,7 @@ def _fewest_samples(
     excitation: Excitation,
     samples: int,
 ) -> tuple[float, float]:
+    samples_at_once = 256  # of the first grid that are kept
     # A mode that grows, or keeps ringing, may be small for as long as walls are seen.
     slowest = 1.0 - (1.0 - start.radius) / 16.0
     axes, lowest = _stable_box(loop.walls, start.wall, alpha), loop.walls.lowest
@@ -161,16 +163,27 @@ def _fewest_samples(
     def tail_from(sample: int) -> Values:
         return at(lambda tails: tails[:, sample])
 
+    @lru_cache(1)
+    def on_axes(block: int) -> np.ndarray:
+        own = slice(block * samples_at_once, (block + 1) * samples_at_once)
+        return at(lambda tails: tails[:, own])(*on_grid(axes))
+
     best, fewest = minimised(at(first_within), axes, zooms=0)
     best, count = (best, int(fewest)) if fewest <= samples else (start.wall, samples)
     while count > 0:
-        for grid in (axes, near(best)):  # the whole set may be too coarse for what is left
-            point, tail = minimised(tail_from(count - 1), grid, enough=level, lowest=lowest)
+        block, column = divmod(count - 1, samples_at_once)
+        known = on_axes(block)[:, column], None
+        # The whole set may be too coarse for what is left.
+        for grid, first in zip((axes, near(best)), known, strict=True):
+            point, tail = minimised(
+                tail_from(count - 1), grid, first=first, enough=level, lowest=lowest
+            )
             if tail <= level:
                 break
         else:
             break
-        count, best = count - 1, point
+        (within,) = at(first_within)(*np.array(point)[:, None])
+        count, best = min(count - 1, int(within)), point
     calmest, tail = minimised(tail_from(count), near(best), lowest=lowest)
     return calmest if tail <= level else best
 
