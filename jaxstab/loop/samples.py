@@ -11,7 +11,7 @@ A loop of which an angle is missed is not resolved by a batch, and is answered b
 """
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Complex128, Float64, Int64
@@ -24,9 +24,6 @@ from jaxstab.model.balls import Factored
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import reflections
-
-if TYPE_CHECKING:
-    from flint import arb_poly
 
 _SAMPLES = 512  # of half the circle
 _STEPS = 4  # of Newton's method
@@ -127,7 +124,7 @@ def _pairs(part: Factored, degree: int) -> tuple[list[float], list[float]]:
     return [0.0] * before + high + [0.0] * after, [0.0] * before + low + [0.0] * after
 
 
-def _is_outside(p: "arb_poly") -> bool | None:
+def _is_outside(p: Any) -> bool | None:
     """True if roots of a polynomial are outside the circle, in float64; None where that is open."""
     # A step adds roundings of the size of the coefficients; errors and coefficients, over the
     # leading one, grow by 1/(1 - |k|). If |k| is above 1 by more than the error, the product of all
