@@ -178,3 +178,14 @@ def test_arcs_that_rounding_makes_do_not_multiply() -> None:
     for share, is_stable in ((1.0 - 1e-6, True), (1.0 + 1e-6, False)):
         alpha = loop.alpha(share * limits.stiffness)
         assert drawn.balls.is_stable(float(alpha), float(beta)) is is_stable
+
+
+def test_rows_where_several_roots_leave_the_circle_are_right() -> None:
+    """A free device with a mode, neither damped: at K = B = 0 four roots are on the circle."""
+    loop = DeviceLoop.drawn(np.random.default_rng([20121120, 1814]))
+    beta = np.geomspace(1e-9, 1e-6, 40)
+    alpha = np.outer([0.9, 1.1, 1.8], 0.28822 * beta)  # the boundary runs straight there
+    beta = np.broadcast_to(beta, alpha.shape)
+    truth = [loop.balls.is_stable(*wall) for wall in zip(alpha.ravel(), beta.ravel(), strict=True)]
+    assert loop.region().contains(alpha, beta).ravel().tolist() == truth
+    assert 0.2 < np.mean(np.array(truth)) < 0.5

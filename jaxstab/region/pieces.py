@@ -382,6 +382,8 @@ def _joined(c: Curve, ends: _Ends) -> Pieces:
         angle = angles[number]
         theta[end] = theta[end] if np.isnan(angle) else np.copysign(angle, theta[end])
         walls[end] = stops[number].wall
+    shared = [end for end, number in of_end.items() if np.isnan(angles[number])]
+    theta[shared] = _angles_at(c, theta[shared], walls[shared], size)
     lone = np.array([end for end in range(2 * count) if end not in of_end], int)
     following, is_left = _corners(c, ends, lone, theta, walls, size)
     opened = [walls[end] for end in is_left]
@@ -414,6 +416,26 @@ def _joined(c: Curve, ends: _Ends) -> Pieces:
         open=np.array(opened).reshape(-1, 2),
         lone=np.abs(ends.theta[is_left]),
     )
+
+
+def _angles_at(
+    c: Curve,
+    theta: Angles,
+    walls: Float64[np.ndarray, "end 2"],
+    size: Float64[np.ndarray, "2"],
+) -> Angles:
+    """Return where the curve comes closest to walls, next to these angles, by Newton's method."""
+    steps = 3
+    best, least = theta, np.full(theta.shape, np.inf)
+    for _ in range(steps + 1 if theta.size else 0):
+        here, slopes = gains_and_slopes(c, theta)
+        away, speed = (walls.T - here) / size[:, None], slopes / size[:, None]
+        distance = np.sum(away**2, axis=0)
+        best = np.where(distance < least, theta, best)
+        least = np.fmin(distance, least)
+        step = np.sum(away * speed, axis=0) / nonzero(np.sum(speed**2, axis=0), np.inf)
+        theta = theta + np.clip(np.nan_to_num(step), -_ANGLES_AGREE, _ANGLES_AGREE)
+    return best
 
 
 def _matches(
