@@ -14,10 +14,10 @@ import numpy as np
 from mpmath import mp, mpc, mpf
 
 import jaxstab
-from benchmarks import truth
 from benchmarks.grids import LoopFamily, Outline, bisected, contour, eigenvalue_grid
 from benchmarks.record import Row
 from benchmarks.timing import interleaved
+from benchmarks.truth import loop as truth
 from benchmarks.truth.boundary import Boundary
 from benchmarks.truth.filtered import FilteredLoop, average, difference
 from jaxstab.region import stable_region

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from benchmarks import truth
+from benchmarks.truth import loop as truth
 from benchmarks.truth.balls import ExactPlant
 from benchmarks.truth.judge import Loops
 from benchmarks.truth.near_boundary import points_near_the_boundary, random_plants

@@ -20,8 +20,8 @@ import numpy as np
 import jaxstab
 from benchmarks.record import Row
 from benchmarks.timing import interleaved
-from benchmarks.truth import NotCertain
 from benchmarks.truth.balls import moduli
+from benchmarks.truth.loop import NotCertain
 
 DEGREES = 3, 5, 10, 20, 40, 60
 _MANY, _SOME = 1 << 14, 1 << 8  # polynomials of a call: of is_schur, and of slower rivals

@@ -18,9 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks import truth
 from benchmarks.grids import largest_modulus
 from benchmarks.record import Row
+from benchmarks.truth import loop as truth
 from benchmarks.truth.balls import BallLoop
 from benchmarks.truth.filtered import FilteredLoop, average, difference
 from benchmarks.truth.random_loops import DeviceLoop, Filters, MassLoop

@@ -14,9 +14,9 @@ from multiprocessing import get_context
 import numpy as np
 
 import jaxstab
-from benchmarks import truth
 from benchmarks.record import Row
 from benchmarks.timing import interleaved
+from benchmarks.truth import loop as truth
 from jaxstab.conventions import Verdict
 from jaxstab.region import boundary_curve
 

@@ -20,7 +20,6 @@ import jaxstab
 from benchmarks.grids import LAPACK_WORK, LoopFamily, jax_eigenvalues, largest_modulus
 from benchmarks.record import Row
 from benchmarks.timing import Timing, interleaved
-from benchmarks.truth import as_mpf
 from benchmarks.truth.boundary import Boundary
 from benchmarks.truth.filtered import (
     FilteredLoop,
@@ -31,6 +30,7 @@ from benchmarks.truth.filtered import (
     low_pass,
     times,
 )
+from benchmarks.truth.loop import as_mpf
 from jaxstab import Velocity
 from jaxstab.arrays import namespace
 from jaxstab.batches import MANY, compiled, over_tiles

@@ -13,7 +13,7 @@ import flint
 import numpy as np
 from mpmath import mp, mpc, mpf
 
-from benchmarks import truth
+from benchmarks.truth import loop as truth
 from benchmarks.truth.balls import ExactPlant
 from jaxstab import Verdict
 

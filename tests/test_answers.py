@@ -15,7 +15,7 @@ from commands import EXAMPLE
 from march import FINE, march_on_a_fine_grid
 from mpmath import mp
 
-from benchmarks import truth
+from benchmarks.truth import loop as truth
 from jaxstab import HapticLoop
 from jaxstab.cli.main import main
 from jaxstab.conventions import Verdict

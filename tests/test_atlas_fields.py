@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from mpmath import mp, mpc, mpf
 
 import jaxstab
-from benchmarks import truth
 from benchmarks.truth import filtered
+from benchmarks.truth import loop as truth
 from jaxstab import AtlasSpec, FieldSpec, Velocity, build_atlas
 from jaxstab.atlas.build import verify_atlas, write_atlas
 from jaxstab.point.fields import UNKNOWN, _outwards, fields_of_grid, poles_outside

@@ -9,8 +9,8 @@ from campaign import many
 from mpmath import mp, mpf
 
 import jaxstab
-from benchmarks import truth
 from benchmarks.answers import points_of
+from benchmarks.truth import loop as truth
 from jaxstab import AtlasSpec, Velocity, Verdict
 from jaxstab.atlas.build import asked_at_random
 from jaxstab.atlas.limits import LimitPlan, joined, table_of

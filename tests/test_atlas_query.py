@@ -8,7 +8,7 @@ import pytest
 from atlases import small_atlas
 
 import jaxstab
-from benchmarks import truth
+from benchmarks.truth import loop as truth
 from jaxstab import AtlasSpec, HapticLoop, Velocity, Verdict, build_atlas
 from jaxstab.results import Atlas, QueryStatus
 

@@ -11,7 +11,7 @@ import pytest
 from campaign import many
 from mpmath import mp, mpf
 
-from benchmarks import truth
+from benchmarks.truth import loop as truth
 from benchmarks.truth.balls import ExactPlant
 from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.model import LoopParameters, by_name

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mpmath import mp, mpf
 
-from benchmarks import truth
+from benchmarks.truth import loop as truth
 from benchmarks.truth.validity import first_rise, random_questions
 from jaxstab import HapticLoop
 from jaxstab.model import by_name

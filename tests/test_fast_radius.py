@@ -13,7 +13,7 @@ from campaign import some
 from mpmath import mp, mpf
 
 import jaxstab
-from benchmarks import truth
+from benchmarks.truth import loop as truth
 from jaxstab.conventions import RadiusStatus
 from jaxstab.model import by_name
 from jaxstab.point import dominance as dominance

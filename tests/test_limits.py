@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import jaxstab
-from benchmarks import truth
+from benchmarks.truth import loop as truth
 from benchmarks.truth.filtered import FilteredLoop, average, difference
 from jaxstab import Filter, HapticLoop, Velocity, Verdict
 from jaxstab.model import by_name

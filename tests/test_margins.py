@@ -10,8 +10,8 @@ import pytest
 from mpmath import mp, mpf
 
 import jaxstab
-from benchmarks import truth
 from benchmarks.truth import filtered
+from benchmarks.truth import loop as truth
 from jaxstab import Filter, HandRange, HapticLoop, Velocity, Verdict
 from jaxstab.boxes.hands import checked_range
 from jaxstab.model import by_name

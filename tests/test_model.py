@@ -14,7 +14,7 @@ from jax.test_util import check_grads
 from mpmath import mp, mpf
 
 import jaxstab
-from benchmarks import truth
+from benchmarks.truth import loop as truth
 from jaxstab.model import DoubleDouble, by_name, polynomial_degree
 
 REFERENCE = Path(__file__).parents[1] / "data" / "reference"

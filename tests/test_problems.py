@@ -17,7 +17,7 @@ from mpmath import mp, mpc, mpf
 from problems import PROBLEMS, Problem
 
 import jaxstab
-from benchmarks import truth
+from benchmarks.truth import loop as truth
 from jaxstab import Verdict
 from jaxstab.model import by_name
 from jaxstab.results import SettlingStatus

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from mpmath import mp, mpf
 
-from benchmarks import truth
 from benchmarks.regions import tally
+from benchmarks.truth import loop as truth
 from benchmarks.truth.filtered import FilteredLoop, average, difference
 from benchmarks.truth.random_loops import DeviceLoop
 from jaxstab import HapticLoop, limits_of, regions_of

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from march import FINE, HELD, OSCILLATING, PHANTOM, march_on_a_fine_grid
 
-from benchmarks import truth
+from benchmarks.truth import loop as truth
 from jaxstab import HapticLoop
 from jaxstab.model import plant_transition
 

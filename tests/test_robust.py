@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import jaxstab
-from benchmarks import truth
 from benchmarks.truth import filtered
+from benchmarks.truth import loop as truth
 from jaxstab.boxes import HandRange, RobustStatus, robust_region
 from jaxstab.boxes.hands import unproved_members
 from jaxstab.boxes.polygons import failures

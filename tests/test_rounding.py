@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import truth
+from benchmarks.truth import loop as truth
 from jaxstab.model import polynomial_degree
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.point import dominance, fields, radius

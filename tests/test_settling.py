@@ -18,7 +18,7 @@ from march import (
 from mpmath import mp
 
 import jaxstab
-from benchmarks import truth
+from benchmarks.truth import loop as truth
 from jaxstab import HapticLoop, Velocity
 from jaxstab.model import by_name
 from jaxstab.motion.response import Loops, positions

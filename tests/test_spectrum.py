@@ -10,7 +10,7 @@ import pytest
 from mpmath import mp, mpf
 
 import jaxstab
-from benchmarks import truth
+from benchmarks.truth import loop as truth
 from jaxstab.conventions import AXES, RadiusStatus, Verdict
 from jaxstab.model import by_name
 

@@ -15,7 +15,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from benchmarks import truth
+from benchmarks.truth import loop as truth
 from jaxstab.point import dominance, fields, schur_cohn
 from jaxstab.point.fields import _bound, poles_outside
 from jaxstab.point.schur_cohn import Chain, Ends, _State, _step, zeros_outside

@@ -8,8 +8,8 @@ import pytest
 from mpmath import mp
 from scipy.spatial import KDTree
 
-from benchmarks import truth
 from benchmarks.truth import filtered
+from benchmarks.truth import loop as truth
 from jaxstab import Device, Filter, HapticLoop, Mode, Velocity
 from jaxstab.paper import minus_line
 from jaxstab.region import boundary_curve

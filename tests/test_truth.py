@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from mpmath import mp, mpf
 
-from benchmarks import truth
 from benchmarks.eigenvalues import printed_plant
+from benchmarks.truth import loop as truth
 
 REFERENCE = Path(__file__).parents[1] / "data" / "reference"
 PLANTS = [

@@ -12,7 +12,7 @@ from march import HELD, PHANTOM
 from mpmath import mp, mpf
 
 import jaxstab
-from benchmarks import truth
+from benchmarks.truth import loop as truth
 from jaxstab.model import by_name
 from jaxstab.results import TuningStatus
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mpmath import mp
 
-from benchmarks import truth
+from benchmarks.truth import loop as truth
 from benchmarks.truth.balls import ExactPlant, moduli
 from benchmarks.truth.near_boundary import points_near_the_boundary, random_plants
 from jaxstab import (

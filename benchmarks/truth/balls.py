@@ -5,7 +5,7 @@ from typing import NamedTuple
 import flint
 import numpy as np
 
-from benchmarks import truth
+from benchmarks.truth import loop as truth
 from jaxstab import Verdict
 
 _UNDAMPED = 1e-5  # how far a root may be from the circle

@@ -15,7 +15,7 @@ import flint
 import numpy as np
 from mpmath import mp, mpf
 
-from benchmarks import truth
+from benchmarks.truth import loop as truth
 from benchmarks.truth.balls import BallLoop, true_code
 from benchmarks.truth.filtered import Rational, largest_modulus, without_zeros
 

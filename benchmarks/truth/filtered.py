@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import flint
 import numpy as np
 
-from benchmarks import truth
+from benchmarks.truth import loop as truth
 from benchmarks.truth.balls import BallLoop, ExactPlant, true_code
 
 Rational = tuple[flint.fmpq_poly, flint.fmpq_poly]  # numerator and denominator, in powers of z

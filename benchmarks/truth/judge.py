@@ -10,7 +10,8 @@ import flint
 import numpy as np
 
 import jaxstab
-from benchmarks import eigenvalues, truth
+from benchmarks import eigenvalues
+from benchmarks.truth import loop as truth
 from benchmarks.truth.balls import ExactPlant, code_of
 from jaxstab.conventions import Verdict
 from jaxstab.model import by_name

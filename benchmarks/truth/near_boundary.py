@@ -5,7 +5,7 @@ from typing import NamedTuple
 import flint
 import numpy as np
 
-from benchmarks import truth
+from benchmarks.truth import loop as truth
 from benchmarks.truth.balls import ExactPlant
 
 

@@ -12,7 +12,8 @@ from flint import fmpq_poly
 from mpmath import mp, mpf
 
 import jaxstab
-from benchmarks.truth import devices, evaluate
+from benchmarks.truth import devices
+from benchmarks.truth.loop import evaluate
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop
 
 DIGITS = 120

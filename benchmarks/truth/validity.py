@@ -12,7 +12,7 @@ import flint
 import numpy as np
 from mpmath import mp, mpc, mpf
 
-from benchmarks import truth
+from benchmarks.truth import loop as truth
 
 DIGITS = 60
 

@@ -15,7 +15,7 @@ from mpmath import mp, mpf
 FOLDER = Path(__file__).resolve().parent
 sys.path.insert(0, str(FOLDER.parents[1]))
 
-from benchmarks import truth  # noqa: E402
+from benchmarks.truth import loop as truth  # noqa: E402
 
 Row = tuple[object, ...]
 
