@@ -43,7 +43,7 @@ def rows(small: bool) -> Iterator[Row]:
     for one, other in zip(host, device, strict=True):
         task = f"{one['section']} {one['delay']:g}"
         ratio = one["seconds_per_point"] / other["seconds_per_point"]
-        yield one | {"error": 0.0, "times_two_cores": 1.0}
+        yield one | {"times_two_cores": 1.0}
         yield other | {"error": errors[task], "times_two_cores": ratio}
 
 
@@ -92,16 +92,9 @@ def main(path: str, points: str, *cores: str) -> int:
     for task, timing in timings.items():
         section, delay = task.rsplit(" ", 1)
         own = int(_side(count, section) ** 2)
+        per_point = {"seconds_per_point": timing.median / own}
         rows.append(
-            {
-                "section": section,
-                "method": name,
-                "delay": float(delay),
-                "points": own,
-                **timing.columns(),
-                "seconds_per_point": timing.median / own,
-                "error_measure": MEASURE,
-            }
+            timing.row(section, name, 0.0, MEASURE, delay=float(delay), points=own, **per_point)
         )
     print(json.dumps(rows))
     return 0

@@ -32,28 +32,28 @@ def rows(small: bool, points: int | None = None) -> Iterator[Row]:
         wrong = computed = seconds = total = 0
         for _ in range(1 if small else calls):
             point = points_of(table, kind, size, rng)
-            timings = interleaved({"table": partial(table.verdicts, *point)}, budget=0.0, most=1)
-            codes = timings["table"].answer
+            call = partial(table.verdicts, *point)
+            timing = interleaved({"table": call}, budget=0.0, most=1)["table"]
+            codes = timing.answer
             exact = np.asarray(
                 jaxstab.verdict(**dict(zip(AXES, point, strict=True)), resolve="exact")
             )
             clear = codes != Verdict.UNDECIDED
             wrong += int(np.sum(clear & (codes != exact) & (exact != Verdict.UNDECIDED)))
             computed, total = computed + int(np.sum(~clear)), total + codes.size
-            seconds = min(timings["table"].cpu_seconds)
-        yield {
-            "section": kind,
-            "method": "table",
-            "delay": 3.0,
-            "points": size,
-            **timings["table"].columns(),
-            "seconds_per_point": seconds / size,
-            "asked": total,
-            "error": wrong / total,
-            "error_measure": MEASURE,
-            "wrong": wrong,
-            "computed": computed / total,
-        }
+            seconds = min(timing.cpu_seconds)
+        yield timing.row(
+            kind,
+            "table",
+            wrong / total,
+            MEASURE,
+            delay=3.0,
+            points=size,
+            seconds_per_point=seconds / size,
+            asked=total,
+            wrong=wrong,
+            computed=computed / total,
+        )
 
 
 def points_of(

@@ -16,7 +16,7 @@ from mpmath import mp, mpc, mpf
 import jaxstab
 from benchmarks.grids import LoopFamily, Outline, bisected, contour, eigenvalue_grid
 from benchmarks.record import Row
-from benchmarks.timing import interleaved
+from benchmarks.timing import Timing, interleaved
 from benchmarks.truth import loop as truth
 from benchmarks.truth.boundary import Boundary
 from benchmarks.truth.filtered import FilteredLoop, average, difference
@@ -123,16 +123,8 @@ def _outline_rows(exact: Judge, small: bool) -> Iterator[Row]:
             found = timing.answer
             if not isinstance(found, Outline):
                 found = _outline_of(np.asarray(found))
-            yield {
-                "section": "outline",
-                "method": method,
-                "delay": exact.delay,
-                "n": count,
-                "points": len(found.points),
-                **timing.columns(),
-                **_errors(exact, found.points, small),
-                "gap": exact.gap(found.segments, 40 if small else 400),
-            }
+            gap = exact.gap(found.segments, 40 if small else 400)
+            yield _row("outline", method, timing, exact, found.points, small, n=count, gap=gap)
 
 
 def _grids(exact: Judge, family: LoopFamily, count: int) -> dict[str, Call]:
@@ -178,15 +170,29 @@ def _outline_of(vertices: np.ndarray) -> Outline:
     return Outline(vertices, np.stack([vertices[:-1], vertices[1:]], axis=1))
 
 
-def _errors(exact: Judge, points: np.ndarray, small: bool) -> dict[str, Any]:
+def _row(
+    section: str,
+    method: str,
+    timing: Timing,
+    exact: Judge,
+    points: np.ndarray,
+    small: bool,
+    **own: float,
+) -> Row:
+    """Judge a sample of the points."""
     count = min(8 if small else 64, len(points))
     some = points[np.linspace(0, len(points) - 1, count).round().astype(int)].tolist()
     radii = [truth.spectral_radius(*point, GAMMA, DELTA, exact.delay) for point in some]
-    return {
-        "error": max(exact.distance(*point) for point in some),
-        "error_measure": MEASURE,
-        "radius_error": float(max(abs((low + high) / 2 - 1) for low, high in radii)),
-    }
+    return timing.row(
+        section,
+        method,
+        max(exact.distance(*point) for point in some),
+        MEASURE,
+        delay=exact.delay,
+        points=len(points),
+        radius_error=float(max(abs((low + high) / 2 - 1) for low, high in radii)),
+        **own,
+    )
 
 
 # --------------------------------------------------------------------------- regions per second
@@ -211,16 +217,10 @@ def _region_rows(exact: Judge, small: bool) -> Iterator[Row]:
         if method == "regions_of":
             found, regions = found[-1], side**2  # the last one is of GAMMA and DELTA
         points = found.points if isinstance(found, Outline) else np.asarray(found)
-        yield {
-            "section": "region",
-            "method": method,
-            "delay": exact.delay,
-            "points": len(points),
-            **timing.columns(),
-            **_errors(exact, points, small),
-            "regions": regions,
-            "regions_per_second": regions / timing.median,
-        }
+        rate = regions / timing.median
+        yield _row(
+            "region", method, timing, exact, points, small, regions=regions, regions_per_second=rate
+        )
 
 
 def _stable_region(delay: float, tolerance: float) -> np.ndarray:

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import record
 from benchmarks.record import Row
 from benchmarks.truth.plain import Loop
 from benchmarks.truth.plain import radius as true_radius
@@ -86,21 +87,18 @@ class Tally:
     seconds: list[float] = field(default_factory=list)
 
     def row(self, section: str) -> Row:
-        return {
-            "section": section,
-            "method": "exact",
-            "delay": 0.0,
-            "points": self.asked,
-            "seconds": float(np.median(self.seconds)),
-            "seconds_quartiles": np.quantile(self.seconds, (0.25, 0.75)).tolist(),
-            "repeats": len(self.seconds),
-            "error": self.error,
-            "error_measure": "largest relative difference of one number by two questions",
-            "slowest": max(self.seconds),
-            "open": self.open,
-            "judged": self.judged,
-            "wrong": self.wrong,
-        }
+        return record.row(
+            section,
+            "exact",
+            self.seconds,
+            self.error,
+            "largest relative difference of one number by two questions",
+            points=self.asked,
+            slowest=max(self.seconds),
+            open=self.open,
+            judged=self.judged,
+            wrong=self.wrong,
+        )
 
     def timed(self, question: Callable[[], Any]) -> Any:
         start = process_time()
@@ -255,19 +253,8 @@ def _times(samples: int, delay: int) -> Iterator[Row]:
     degree = samples + delay + 2
     for name, question in questions.items():
         question()
-        seconds: list[float] = []
-        while len(seconds) < 3 or sum(seconds) < 0.2:
-            start = process_time()
-            question()
-            seconds.append(process_time() - start)
-        yield {
-            "section": f"degree {degree}",
-            "method": name,
-            "delay": float(delay),
-            "points": 1,
-            "seconds": float(np.median(seconds)),
-            "seconds_quartiles": np.quantile(seconds, (0.25, 0.75)).tolist(),
-            "repeats": len(seconds),
-            "error": 0.0,
-            "error_measure": "none: times alone",
-        }
+        tally = Tally()
+        while len(tally.seconds) < 3 or sum(tally.seconds) < 0.2:
+            tally.timed(question)
+        measure = "none: times alone"
+        yield record.row(f"degree {degree}", name, tally.seconds, 0.0, measure, delay=float(delay))

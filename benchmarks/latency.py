@@ -16,11 +16,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from statistics import median, quantiles
+from statistics import median
 from typing import NamedTuple
 
 from mpmath import mp, mpf
 
+from benchmarks import record
 from benchmarks.eigenvalues import ALPHA, BETA, DELAY, DELTA, GAMMA, MASS, SAMPLE_TIME
 from benchmarks.record import Row
 from benchmarks.truth import loop as truth
@@ -60,7 +61,6 @@ class Question:
     words: tuple[str, ...]
     judge: Judge = lambda _: 0.0
     rival: str = ""
-    delay: float = float(DELAY)
 
 
 class Run(NamedTuple):
@@ -187,23 +187,19 @@ def run(words: tuple[str, ...]) -> Run:
 
 def _row(question: Question, method: str, runs: list[Run]) -> Row:
     seconds = [run.seconds for run in runs]
-    low, _, high = quantiles(seconds, n=4) if len(seconds) > 1 else seconds * 3
-    return {
-        "section": question.name,
-        "method": method,
-        "delay": question.delay,
-        "points": 1,
-        "seconds": median(seconds),
-        "seconds_quartiles": [low, high],
-        "repeats": len(runs),
-        "error": max(_error_of(question, run) for run in runs),
-        "error_measure": MEASURE,
-        "wall_seconds": median(run.wall for run in runs),
-        "peak_mib": max(run.peak for run in runs),
-        "target_seconds": question.target,
-        "target_mib": MEMORY_TARGET,
-        "is_on_target": bool(median(seconds) <= question.target),
-    }
+    return record.row(
+        question.name,
+        method,
+        seconds,
+        max(_error_of(question, run) for run in runs),
+        MEASURE,
+        delay=float(DELAY),
+        wall_seconds=median(run.wall for run in runs),
+        peak_mib=max(run.peak for run in runs),
+        target_seconds=question.target,
+        target_mib=MEMORY_TARGET,
+        is_on_target=bool(median(seconds) <= question.target),
+    )
 
 
 def _error_of(question: Question, run: Run) -> float:

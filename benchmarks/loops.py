@@ -24,6 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks import record
 from benchmarks.record import Row
 from benchmarks.regions import DISTANCES
 from benchmarks.truth.balls import BallLoop
@@ -146,22 +147,19 @@ def _drawn(kind: Kind, index: int) -> tuple[Loop, np.random.Generator]:
 
 def _row(section: str, method: str, tallies: list[Tally], word: str) -> Row:
     asked, wrong = (sum(getattr(one, name) for one in tallies) for name in ("asked", "wrong"))
-    seconds = [one.seconds for one in tallies]
-    return {
-        "section": section,
-        "method": method,
-        "delay": _LONGEST,
-        "points": asked // len(tallies),
-        "seconds": float(np.median(seconds)),
-        "seconds_quartiles": np.quantile(seconds, (0.25, 0.75)).tolist(),
-        "repeats": len(tallies),
-        "error": wrong / asked,
-        "error_measure": MEASURE.format(section),
-        "judged": asked - sum(one.unjudged for one in tallies),
-        "wrong": wrong,
-        word: sum(one.open for one in tallies),
-        "unjudged": sum(one.unjudged for one in tallies),
-    }
+    unjudged = sum(one.unjudged for one in tallies)
+    own = {"judged": asked - unjudged, "wrong": wrong, "unjudged": unjudged}
+    return record.row(
+        section,
+        method,
+        [one.seconds for one in tallies],
+        wrong / asked,
+        MEASURE.format(section),
+        delay=_LONGEST,
+        points=asked // len(tallies),
+        **own,
+        **{word: sum(one.open for one in tallies)},
+    )
 
 
 def walls(loop: Loop, rng: np.random.Generator) -> Tally:

@@ -32,7 +32,7 @@ from scipy.optimize import least_squares
 from scipy.signal import savgol_coeffs
 
 import jaxstab
-from benchmarks import measured_page
+from benchmarks import measured_page, record
 from benchmarks.measured_page import ESTIMATORS
 from benchmarks.record import Row
 from jaxstab import Filter, HapticLoop, Velocity
@@ -229,17 +229,15 @@ def _row(
     section: str, method: str, delay: float, seconds: float, limits: Array, *points: Any
 ) -> Row:
     at, measured = (np.array(column) for column in points)
-    return {
-        "section": section,
-        "method": method,
-        "delay": delay,  # in samples; of rates in s
-        "points": len(measured),
-        "seconds": seconds,  # of the fit
-        "seconds_quartiles": [seconds, seconds],
-        "repeats": 1,
-        "error": float(np.sqrt(np.mean((limits - measured) ** 2)) / measured.max()),
-        "error_measure": "root mean square over the largest measured limit",
-        "at": " ".join(map(str, at.tolist())),  # dampings, or Hz
-        "measured": " ".join(map(str, measured.tolist())),
-        "limits": " ".join(f"{limit:.4g}" for limit in limits),
-    }
+    return record.row(
+        section,
+        method,
+        [seconds],  # of the fit
+        float(np.sqrt(np.mean((limits - measured) ** 2)) / measured.max()),
+        "root mean square over the largest measured limit",
+        delay=delay,  # in samples; of rates in s
+        points=len(measured),
+        at=" ".join(map(str, at.tolist())),  # dampings, or Hz
+        measured=" ".join(map(str, measured.tolist())),
+        limits=" ".join(f"{limit:.4g}" for limit in limits),
+    )

@@ -73,18 +73,16 @@ def _of_degree(
                     "open": int(np.sum(np.isinf(bound))),
                     "too_small": int(np.sum(apart > bound[: found.size])),
                 }
-        yield {
-            "section": f"degree {degree}{', clustered' * is_clustered}",
-            "method": name,
-            "delay": 0.0,
-            "points": points,
-            **timing.columns(),
-            "seconds_per_point": timing.median / points,
-            "cpu_seconds_per_point": float(np.median(timing.cpu_seconds)) / points,
-            "error": error,
-            "error_measure": MEASURE,
+        yield timing.row(
+            f"degree {degree}{', clustered' * is_clustered}",
+            name,
+            error,
+            MEASURE,
+            points=points,
+            seconds_per_point=timing.median / points,
+            cpu_seconds_per_point=timing.cpu_median / points,
             **columns,
-        }
+        )
 
 
 def _drawn(rng: np.random.Generator, degree: int, count: int, is_clustered: bool) -> np.ndarray:

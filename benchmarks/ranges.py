@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks import record
 from benchmarks.grids import largest_modulus
 from benchmarks.record import Row
 from benchmarks.truth import loop as truth
@@ -250,18 +251,8 @@ def _limits(rng: np.random.Generator, count: int) -> Row:
 
 
 def _row(name: str, error: float, seconds: list[float], **extra: int | float) -> Row:
-    return {
-        "section": name,
-        "method": name,
-        "delay": 8.0,
-        "points": 1,
-        "repeats": len(seconds),
-        "seconds": float(np.median(seconds)),
-        "seconds_quartiles": np.quantile(seconds, (0.25, 0.75)).tolist(),
-        "error": error,
-        "error_measure": "share of answers that are wrong, by certified root counts",
-        **extra,
-    }
+    measure = "share of answers that are wrong, by certified root counts"
+    return record.row(name, name, seconds, error, measure, delay=8.0, **extra)
 
 
 def _radii(loop: HapticLoop, stiffness: np.ndarray, damping: np.ndarray) -> np.ndarray:

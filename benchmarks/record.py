@@ -4,11 +4,13 @@ import json
 import os
 import platform
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 import jaxstab
 
@@ -32,6 +34,33 @@ ROW_COLUMNS = {
     "error_measure": str,  # in words
 }
 """Columns of every row; a benchmark adds columns of its own, which are numbers, texts or null."""
+
+
+def row(
+    section: str,
+    method: str,
+    seconds: Sequence[float],
+    error: float,
+    error_measure: str,
+    *,
+    delay: float = 0.0,
+    points: int = 1,
+    **own: Any,
+) -> Row:
+    """Return a row: ``seconds`` of all repeats, and columns of the benchmark's own."""
+    low, middle, high = np.quantile(seconds, (0.25, 0.5, 0.75)).tolist()
+    return {
+        "section": section,
+        "method": method,
+        "delay": delay,
+        "points": points,
+        "seconds": middle,
+        "seconds_quartiles": [low, high],
+        "repeats": len(seconds),
+        "error": error,
+        "error_measure": error_measure,
+        **own,
+    }
 
 
 def shown(rows: Iterable[Row]) -> Iterator[Row]:

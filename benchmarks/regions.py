@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.path import Path as Polygon
 
+from benchmarks import record
 from benchmarks.record import Row
 from benchmarks.truth.boundary import Boundary
 from benchmarks.truth.filtered import FilteredLoop, average, difference
@@ -49,23 +50,21 @@ def rows(small: bool) -> Iterator[Row]:
         slices = random_slices(rng, 4 if small else count, first, stop)
         tallies = [tally(place, rng) for place in slices]
         judged = sum(one.judged for one in tallies)
-        seconds = [one.seconds for one in tallies]
-        columns = {
-            "section": "slices",
-            "delay": stop - 1,
-            "points": judged // len(slices),
-            "repeats": len(slices),
-            "error_measure": MEASURE,
-            "slices": len(slices),
-            "judged": judged,
-            **{s.name.lower(): sum(one.status == s for one in tallies) for s in RegionStatus},
-            "seconds": float(np.median(seconds)),
-            "seconds_quartiles": np.quantile(seconds, (0.25, 0.75)).tolist(),
-        }
-        for method in ("wrong", "wrong_of_polygon"):
-            wrong = sum(getattr(one, method) for one in tallies)
-            name = "stable_region" if method == "wrong" else "its polygon"
-            yield {**columns, "method": name, "wrong": wrong, "error": wrong / judged}
+        for column, method in (("wrong", "stable_region"), ("wrong_of_polygon", "its polygon")):
+            wrong = sum(getattr(one, column) for one in tallies)
+            yield record.row(
+                "slices",
+                method,
+                [one.seconds for one in tallies],
+                wrong / judged,
+                MEASURE,
+                delay=stop - 1,
+                points=judged // len(slices),
+                slices=len(slices),
+                judged=judged,
+                wrong=wrong,
+                **{s.name.lower(): sum(one.status == s for one in tallies) for s in RegionStatus},
+            )
 
 
 def random_slices(rng: np.random.Generator, count: int, first: int, stop: int) -> list[Slice]:

@@ -136,20 +136,19 @@ def _row(
     wrong = ~computed & (codes != asked.codes) & (asked.codes != Verdict.UNDECIDED)
     off = np.abs(upper - asked.upper) / asked.top[:, None]
     rows, gammas, deltas, delays = grid
-    return {
-        "section": f"{rows} x {gammas} x {deltas} x {delays}",
-        "method": method,
-        "delay": 3.0,
-        "points": codes.size,
-        **timing.columns(),
-        "seconds_per_point": float(np.median(timing.cpu_seconds)) / codes.size,
-        "nodes": rows * gammas * deltas * delays,
-        "error": float(np.nanmax(off)),
-        "error_measure": MEASURE,
-        "median_error": float(np.nanmedian(off)),
-        "computed": float(np.mean(computed)),
-        "wrong": int(wrong.sum()),
-    }
+    return timing.row(
+        f"{rows} x {gammas} x {deltas} x {delays}",
+        method,
+        float(np.nanmax(off)),
+        MEASURE,
+        delay=3.0,
+        points=codes.size,
+        seconds_per_point=timing.cpu_median / codes.size,
+        nodes=rows * gammas * deltas * delays,
+        median_error=float(np.nanmedian(off)),
+        computed=float(np.mean(computed)),
+        wrong=int(wrong.sum()),
+    )
 
 
 def _plant_weights(

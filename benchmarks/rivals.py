@@ -151,22 +151,20 @@ def _rows(group: str, cases: list[Case], budget: float, batch: int, *, runs: int
     judged = interleaved(verdicts, budget=budget, least=1)
     for name, one in asked.items():
         errors = [_error(*each) for each in zip(cases, truths, ends[name].answer, strict=True)]
-        yield {
-            "section": group,
-            "method": name,
-            "delay": 0.0,
-            "points": one.loops,
-            **ends[name].columns(),
-            "cpu_seconds_per_loop": float(np.median(ends[name].cpu_seconds)) / one.loops,
-            "error": max(errors),
-            "error_measure": MEASURE,
-            "missed": sum(error > _MISSED for error in errors),
-            "judged": len(cases),
-            "largest_error_found": max((e for e in errors if e <= _MISSED), default=1.0),
-            "lines": one.lines,
+        yield ends[name].row(
+            group,
+            name,
+            max(errors),
+            MEASURE,
+            points=one.loops,
+            cpu_seconds_per_loop=ends[name].cpu_median / one.loops,
+            missed=sum(error > _MISSED for error in errors),
+            judged=len(cases),
+            largest_error_found=max((e for e in errors if e <= _MISSED), default=1.0),
+            lines=one.lines,
             **(_verdicts(one, judged[name], stable) if one.verdicts else {}),
             **(_first(one.process, runs) if one.process else {}),
-        }
+        )
 
 
 def _error(case: Case, end: mpf, answer: Any) -> float:
@@ -182,7 +180,7 @@ def _verdicts(one: Asked, timing: Timing, stable: np.ndarray) -> Row:
     right = codes == np.where(stable, Verdict.STABLE, Verdict.UNSTABLE)
     is_open = codes == Verdict.UNDECIDED
     return {
-        "cpu_seconds_per_verdict": float(np.median(timing.cpu_seconds)) / one.walls,
+        "cpu_seconds_per_verdict": timing.cpu_median / one.walls,
         "verdicts": stable.size,
         "wrong": int(np.sum(~right & ~is_open)),
         "open": int(np.sum(is_open)),

@@ -48,19 +48,18 @@ def streamed(count: int, judged: int) -> Row:
     codes = np.asarray(jaxstab.verdict(alpha, beta, **PLACE))
     radii = [truth.spectral_radius(a, b, *PLACE.values()) for a, b in zip(alpha, beta, strict=True)]
     is_stable = np.array([low + high < 2 for low, high in radii])
-    return {
-        "section": "points",
-        "method": "streamed verdict",
-        "delay": PLACE["delay"],
-        "points": points,
-        **timing.columns(),
-        "seconds_per_point": timing.median / points,
-        "error": float(np.mean(codes != np.where(is_stable, Verdict.STABLE, Verdict.UNSTABLE))),
-        "error_measure": "share of sampled points whose verdict was wrong or undecided",
-        "stable_points": timing.answer,
-        "start_mib": start_mib,
-        "peak_mib": peak_mib,
-    }
+    return timing.row(
+        "points",
+        "streamed verdict",
+        float(np.mean(codes != np.where(is_stable, Verdict.STABLE, Verdict.UNSTABLE))),
+        "share of sampled points whose verdict was wrong or undecided",
+        delay=PLACE["delay"],
+        points=points,
+        seconds_per_point=timing.median / points,
+        stable_points=timing.answer,
+        start_mib=start_mib,
+        peak_mib=peak_mib,
+    )
 
 
 def _streamed(axes: Axes) -> int:

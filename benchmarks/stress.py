@@ -26,6 +26,7 @@ import jax
 import numpy as np
 
 import jaxstab
+from benchmarks import record
 from benchmarks.hard_loops import changed_loops, random_loops
 from benchmarks.record import Row
 from benchmarks.truth.judge import METHODS, Judgement, Loops, Truth, answers_of, judged, truth_of
@@ -265,22 +266,19 @@ def _decade(values: np.ndarray) -> np.ndarray:
 
 def _row(key: Key, tally: Tally, times: list[float]) -> dict[str, Any]:
     axis, place, method = key
-    low, middle, high = np.quantile(times, (0.25, 0.5, 0.75)).tolist()
-    return {
-        "section": axis,
-        "method": method,
-        "delay": place if axis == "delay" else 0.0,
-        "points": tally.points,
-        "seconds": middle,  # of one share, all methods and the judge
-        "seconds_quartiles": [low, high],
-        "repeats": len(times),
-        "error": tally.error,
-        "error_measure": MEASURE,
-        "place": place,
-        "wrong": tally.wrong,
-        "undecided": tally.undecided,
-        "unjudged": tally.unjudged,
-        "share_of_bound": tally.share_of_bound,
-        "band": tally.band,
+    return record.row(
+        axis,
+        method,
+        times,  # of one share, all methods and the judge
+        tally.error,
+        MEASURE,
+        delay=place if axis == "delay" else 0.0,
+        points=tally.points,
+        place=place,
+        wrong=tally.wrong,
+        undecided=tally.undecided,
+        unjudged=tally.unjudged,
+        share_of_bound=tally.share_of_bound,
+        band=tally.band,
         **{f"worst_{name}": repr(point) for name, point in tally.worst.items()},
-    }
+    )

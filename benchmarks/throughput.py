@@ -104,18 +104,17 @@ def _rows(
     calls = {name: method.call for name, method in methods.items()}
     timings = interleaved(calls, budget=0.1 if small else 2.0, most=30)
     for name, method in methods.items():
-        yield {
-            "section": section,
-            "method": name,
-            "delay": delay,
-            "degree": family.plant.size - 1,
-            "batch": side**2,
-            "points": method.points,
-            **timings[name].columns(),
-            "seconds_per_point": timings[name].median / method.points,
+        yield timings[name].row(
+            section,
+            name,
+            delay=delay,
+            points=method.points,
+            degree=family.plant.size - 1,
+            batch=side**2,
+            seconds_per_point=timings[name].median / method.points,
             **_errors(method, judged),
             **_ratios(name, methods, timings),
-        }
+        )
 
 
 def _asked(
@@ -198,7 +197,7 @@ def _errors(method: Method, judged: Judged) -> Row:
     error = band if method.is_verdict else float(np.abs(answer - judged.radius).max())
     return {
         "error": error,
-        "error_measure": BAND if method.is_verdict else RADIUS_ERROR,
+        "measure": BAND if method.is_verdict else RADIUS_ERROR,
         "judged": len(right),
         "wrong": int(np.sum(~right & ~undecided)),
         "undecided": int(np.sum(undecided)),
@@ -211,12 +210,12 @@ def _ratios(name: str, methods: dict[str, Method], timings: dict[str, Timing]) -
     if name not in ("verdict", "spectral_radius"):
         return {}
     seconds = {one: timings[one].median / methods[one].points for one in methods}
-    cpu = {one: np.median(timings[one].cpu_seconds) / methods[one].points for one in methods}
+    cpu = {one: timings[one].cpu_median / methods[one].points for one in methods}
     ratios: Row = {}
     for rival in ("numpy eigvals", "jax eigvals"):
         word = rival.replace(" ", "_")
         ratios[f"times_{word}"] = seconds[rival] / seconds[name]
-        ratios[f"cpu_times_{word}"] = float(cpu[rival] / cpu[name])
+        ratios[f"cpu_times_{word}"] = cpu[rival] / cpu[name]
     if name == "verdict":
         ratios["share_of_plain_recursion"] = seconds[PLAIN] / seconds[name]
     return ratios

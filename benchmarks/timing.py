@@ -15,6 +15,9 @@ from typing import Any
 import jax
 import numpy as np
 
+from benchmarks import record
+from benchmarks.record import Row
+
 _TURN, _TURNS = 0.1, 10  # seconds at most, and fewest turns that the budget should be enough for
 
 
@@ -35,16 +38,22 @@ class Timing:
     def median(self) -> float:
         return float(np.median(self.seconds))
 
-    def columns(self) -> dict[str, Any]:
-        """What a row of a record says about run time."""
-        low, high = np.quantile(self.seconds, (0.25, 0.75))
-        return {
-            "seconds": self.median,
-            "seconds_quartiles": [float(low), float(high)],
-            "seconds_after_others": float(np.median(self.first_seconds)),
-            "cpu_seconds": float(np.median(self.cpu_seconds)),
-            "repeats": len(self.seconds),
-        }
+    @property
+    def cpu_median(self) -> float:
+        return float(np.median(self.cpu_seconds))
+
+    def row(self, section: str, method: str, error: float, measure: str, **columns: Any) -> Row:
+        """Return a row of a record, with what it says about run time."""
+        return record.row(
+            section,
+            method,
+            self.seconds,
+            error,
+            measure,
+            **columns,
+            seconds_after_others=float(np.median(self.first_seconds)),
+            cpu_seconds=self.cpu_median,
+        )
 
 
 def interleaved(
