@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
+import flint
 import numpy as np
 from mpmath import mp, mpc, mpf
 
@@ -18,8 +19,8 @@ from benchmarks.grids import LoopFamily, Outline, bisected, contour, eigenvalue_
 from benchmarks.record import Row
 from benchmarks.timing import Timing, interleaved
 from benchmarks.truth import loop as truth
+from benchmarks.truth.balls import ExactPlant
 from benchmarks.truth.boundary import Boundary
-from benchmarks.truth.filtered import FilteredLoop, average, difference
 from jaxstab.region import stable_region
 from jaxstab.trace import trace_boundary
 
@@ -43,17 +44,14 @@ class Judge:
 
     def __init__(self, delay: float) -> None:
         self.delay, self.plant = delay, (GAMMA, DELTA, delay)
-        loop = FilteredLoop(*self.plant, difference(1), average(1))
-        boundary = Boundary(loop.balls())
+        balls = ExactPlant.of(*self.plant).loop(delay)
+        boundary = Boundary(balls)
         self.points = boundary.points(np.random.default_rng(20), 2000)
         self.size = np.ptp(self.points, axis=0)
         self._theta = np.geomspace(1e-6, np.pi - 1e-6, 4000)
         self._curve = boundary.solved(np.exp(1j * self._theta)) / self.size
-        walls = (0, 0), (1, 0), (0, 1)
-        with mp.workdps(50):
-            base, *moved = (truth.polynomial(*wall, *self.plant) for wall in walls)
-            parts = [base, *([a - b for a, b in zip(one, base, strict=True)] for one in moved)]
-            self._lines = [[truth.evaluate(part, mpc(z)).real for part in parts] for z in (1, -1)]
+        with flint.ctx.workprec(balls.bits):
+            self._lines = [[truth.as_mpf(part(z)) for part in balls[:3]] for z in (1, -1)]
 
     def box(self, margin: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
         """Return the ends of alpha and of beta around the stable region."""

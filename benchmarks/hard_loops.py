@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from benchmarks.truth import loop as truth
 from benchmarks.truth.balls import ExactPlant
+from benchmarks.truth.boundary import Boundary
 from benchmarks.truth.judge import Loops
 from benchmarks.truth.near_boundary import points_near_the_boundary, random_plants
 
@@ -80,15 +80,9 @@ def _multiple_root_gains(
     rng: np.random.Generator, gamma: float, delta: float, delay: float, walls: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return gains next to those with a double real root: p(r) = p'(r) = 0 is linear in them."""
-    whole, _ = truth.split_delay(delay)
-    plant = ExactPlant.of(gamma, delta, delay)
-    d1, d0, n2, n1, n0 = (float(value.mid()) for value in plant[:5])
+    parts = map(np.poly1d, Boundary(ExactPlant.of(gamma, delta, delay).loop(delay)).parts)
     r = rng.uniform(-1.1, 1.1, walls)
-    numerator = np.poly1d([n2, n1, n0])
-    free = np.poly1d([1.0, d1, d0, *[0.0] * (whole + 2)])
-    stiff, damp = numerator * np.poly1d([1, 0]), numerator * np.poly1d([1, -1])
-    columns = [[p(r), p.deriv()(r)] for p in (stiff, damp, free)]
-    (s, s_slope), (t, t_slope), (f, f_slope) = columns
+    (f, f_slope), (s, s_slope), (t, t_slope) = ([p(r), p.deriv()(r)] for p in parts)
     with np.errstate(all="ignore"):
         determinant = s * t_slope - t * s_slope
         alpha = (t * f_slope - f * t_slope) / determinant

@@ -20,8 +20,7 @@ import numpy as np
 import jaxstab
 from benchmarks.record import Row
 from benchmarks.timing import interleaved
-from benchmarks.truth.balls import moduli
-from benchmarks.truth.loop import NotCertain
+from benchmarks.truth.balls import largest_modulus
 
 DEGREES = 3, 5, 10, 20, 40, 60
 _MANY, _SOME = 1 << 14, 1 << 8  # polynomials of a call: of is_schur, and of slower rivals
@@ -45,7 +44,8 @@ def _of_degree(
 ) -> Iterator[Row]:
     given = _drawn(np.random.default_rng(degree), degree, many, is_clustered)
     batch, few = jnp.asarray(given), given[:some]
-    truth = np.array([_radius(row) for row in given[:judged].tolist()])
+    exact = ([flint.arb(c) for c in row] for row in given[:judged].tolist())
+    truth = np.array([float(largest_modulus(row, _BITS)) for row in exact])
     calls: dict[str, tuple[int, Callable[[], Any]]] = {
         "jaxstab.is_schur": (many, partial(_is_schur, batch)),
         "jaxstab.radius": (many // 64, partial(_largest, batch[: many // 64])),
@@ -116,10 +116,3 @@ def _by_numpy(rows: np.ndarray) -> np.ndarray:
     companion = np.tile(np.eye(degree, k=-1), (len(rows), 1, 1))
     companion[:, 0] = -rows[:, 1:]
     return np.abs(np.linalg.eigvals(companion)).max(axis=-1)
-
-
-def _radius(falling: list[float]) -> float:
-    found = moduli([flint.arb(c) for c in falling], _BITS)
-    if found is None:
-        raise NotCertain(f"roots of {falling} are not told apart")
-    return max(float(modulus.mid()) for modulus in found)

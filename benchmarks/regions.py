@@ -20,8 +20,8 @@ from matplotlib.path import Path as Polygon
 
 from benchmarks import record
 from benchmarks.record import Row
+from benchmarks.truth.balls import ExactPlant
 from benchmarks.truth.boundary import Boundary
-from benchmarks.truth.filtered import FilteredLoop, average, difference
 from jaxstab.region import RegionStatus, StableRegion, stable_region
 
 MEASURE = "share of points misclassified, by certified root counts"
@@ -103,7 +103,7 @@ def tally(place: Slice, rng: np.random.Generator) -> Tally:
     region = stable_region(gamma=gamma, delta=delta, delay=delay, radius=radius)
     seconds = perf_counter() - start
     status = RegionStatus(int(region.status))
-    balls = FilteredLoop(gamma, delta, delay, difference(1), average(1)).balls()
+    balls = ExactPlant.of(gamma, delta, delay).loop(delay)
     points = probes(region, Boundary(balls, radius), rng)
     expected = [balls.is_stable(*point, radius) for point in points.tolist()]
     decided = np.array([one is not None for one in expected])

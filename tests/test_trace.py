@@ -337,7 +337,7 @@ def with_filters(request):
         alpha, beta, gamma, delta, delay = loop_of(*(float(value) for value in point))
         hand = max(gamma, 0.0), delta, max(delay, 0.0)
         loop = filtered.FilteredLoop(*hand, true_velocity, true_position)
-        return filtered.without_zeros(loop.polynomial(alpha, beta, 400))
+        return loop.balls(400).polynomial(alpha, beta)
 
     return trace, np.array(window), polynomial
 

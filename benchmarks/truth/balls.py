@@ -1,5 +1,6 @@
-"""Plants and verdicts in balls of python-flint: quick where many points of one plant are asked."""
+"""Loops and verdicts in balls of python-flint: quick where many points of one plant are asked."""
 
+from abc import ABC, abstractmethod
 from typing import NamedTuple
 
 import flint
@@ -10,6 +11,12 @@ from jaxstab import Verdict
 
 _UNDAMPED = 1e-5  # how far a root may be from the circle
 _NEWTON_STEPS = 12
+
+
+Rational = tuple[flint.fmpq_poly, flint.fmpq_poly]  # numerator and denominator, in powers of z
+
+_DIFFERENCE: Rational = flint.fmpq_poly([-1, 1]), flint.fmpq_poly([0, 1])  # over one sample
+_NO_FILTER: Rational = flint.fmpq_poly([1]), flint.fmpq_poly([1])
 
 
 class ExactPlant(NamedTuple):
@@ -39,22 +46,20 @@ class ExactPlant(NamedTuple):
             n0 = state_12 * late_velocity - state_22 * late_position
             return cls(d1, d0, n2, n1, n0, bits)
 
-    def polynomial(self, alpha: float, beta: float, delay: float) -> list[flint.arb]:
-        whole, fraction = truth.split_delay(delay)
+    def loop(
+        self, delay: float, velocity: Rational = _DIFFERENCE, position: Rational = _NO_FILTER
+    ) -> "BallLoop":
+        """p(z) for all walls, not divided by what cancels: a root at 0 at whole delays."""
+        whole, _ = truth.split_delay(delay)
         with flint.ctx.workprec(self.bits):
-            a, b = flint.arb(alpha), flint.arb(beta)
-            wall = [
-                self.n2 * (a + b),
-                self.n1 * (a + b) - self.n2 * b,
-                self.n0 * (a + b) - self.n1 * b,
-                -self.n0 * b,
-            ][: 3 if fraction == 0 else 4]
-            coefficients = [flint.arb(1), self.d1, self.d0] + [flint.arb(0)] * (
-                whole + len(wall) - 2
-            )
-            for place, value in enumerate(reversed(wall), start=1):
-                coefficients[-place] += value
-            return coefficients
+            numerator = flint.arb_poly([self.n0, self.n1, self.n2])
+            denominator = flint.arb_poly([self.d0, self.d1, 1])
+        return BallLoop.of(numerator, denominator, whole + 1, velocity, position, self.bits)
+
+    def polynomial(self, alpha: float, beta: float, delay: float) -> list[flint.arb]:
+        """p(z), highest power first."""
+        p = self.loop(delay).polynomial(alpha, beta)
+        return p[:-1] if delay.is_integer() else p
 
     def code(self, alpha: float, beta: float, gamma: float, delay: float) -> int:
         """The verdict, by certified roots; UNSTABLE with one at 1, where alpha + gamma is 0."""
@@ -78,6 +83,15 @@ def moduli(coefficients: list[flint.arb], bits: int) -> list[flint.arb] | None:
     with flint.ctx.workprec(bits):
         roots = truth.isolated_roots(coefficients, flint.arb(2) ** (-bits // 2))
         return None if roots is None else [abs(ball) for ball in roots]
+
+
+def largest_modulus(coefficients: list[flint.arb], bits: int = 600) -> flint.arb:
+    """The largest modulus of a root in a ball."""
+    with flint.ctx.workprec(bits):
+        roots = truth.isolated_roots(coefficients, flint.arb(2) ** (-bits // 3))
+        if roots is None:
+            raise truth.NotCertain(f"roots of {coefficients} are not told apart")
+        return max(map(abs, roots), key=lambda modulus: modulus.mid())
 
 
 def true_code(coefficients: list[flint.arb]) -> int:
@@ -127,6 +141,26 @@ class BallLoop(NamedTuple):
     damping: flint.arb_poly
     bits: int
 
+    @classmethod
+    def of(
+        cls,
+        numerator: flint.arb_poly,
+        denominator: flint.arb_poly,
+        lag: int,
+        velocity: Rational,
+        position: Rational,
+        bits: int,
+    ) -> "BallLoop":
+        """A plant that is late by whole samples, T times the velocity, and a position filter."""
+        with flint.ctx.workprec(bits):
+            (nv, dv), (np_, dp) = (
+                tuple(map(flint.arb_poly, pair)) for pair in (velocity, position)
+            )
+            base = flint.arb_poly([0] * lag + [1]) * denominator * dp * dv
+            inverse = 1 / base[base.degree()]
+            parts = base, numerator * np_ * dv, numerator * nv * dp
+            return cls(*(part * inverse for part in parts), bits)
+
     def polynomial(self, alpha: float, beta: float) -> list[flint.arb]:
         """p(z), highest power first."""
         with flint.ctx.workprec(self.bits):
@@ -174,3 +208,23 @@ class BallLoop(NamedTuple):
                 inverse = 1 / flint.arb(radius)
                 p = [value * inverse**k for k, value in enumerate(p)]
             return are_roots_inside(p)
+
+
+class InBalls(ABC):
+    """A loop whose p(z) is known in balls, and what follows for a wall: its two gains."""
+
+    @abstractmethod
+    def balls(self) -> BallLoop:
+        """p(z) for all walls, not divided by what cancels."""
+
+    def polynomial(self, stiffness: float, damping: float) -> list[flint.arb]:
+        """p(z), highest power first."""
+        return self.balls().polynomial(stiffness, damping)
+
+    def code(self, stiffness: float, damping: float) -> int:
+        """The verdict, by certified roots."""
+        return true_code(self.polynomial(stiffness, damping))
+
+    def radius(self, stiffness: float, damping: float) -> flint.arb:
+        """The spectral radius in a ball."""
+        return largest_modulus(self.polynomial(stiffness, damping))

@@ -26,6 +26,7 @@ class Boundary:
         low = np.pi * 10.0 ** rng.uniform(-3.0, 0.0, angles // 2) / size
         thetas = np.concatenate([rng.uniform(0.0, np.pi, angles - low.size), low])
         curve = self.solved(np.exp(1j * thetas))
+        curve = curve[np.isfinite(curve).all(axis=1)]
         scale = np.median(np.abs(curve), axis=0) if len(curve) else np.ones(2)
         walls = np.concatenate(
             [
@@ -62,14 +63,13 @@ class Boundary:
         return np.max(np.abs(np.linalg.eigvals(companion)), axis=1, initial=0.0)
 
     def solved(self, z: np.ndarray) -> np.ndarray:
-        """Return walls with roots at points of the upper half circle."""
+        """Return walls (n, 2) with roots at points of the upper half circle."""
         base, stiffness, damping = (np.polyval(part, z) for part in self.parts)
         with np.errstate(all="ignore"):
             determinant = (np.conj(stiffness) * damping).imag
             alpha = (np.conj(damping) * base).imag / determinant
             beta = -(np.conj(stiffness) * base).imag / determinant
-        walls = np.stack([alpha, beta], axis=1)
-        return walls[np.isfinite(walls).all(axis=1)]
+        return np.stack([alpha, beta], axis=1)
 
     def _line(self, z: float, walls: np.ndarray) -> np.ndarray:
         """Return walls (n, 2) moved along one axis to where they have a root at z = 1 or -1."""

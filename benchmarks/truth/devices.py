@@ -7,8 +7,6 @@ recursion of Faddeev and Leverrier, and the loop's roots are certified by python
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import reduce
-from itertools import accumulate
 from typing import NamedTuple
 
 import flint
@@ -16,8 +14,7 @@ import numpy as np
 from mpmath import mp, mpf
 
 from benchmarks.truth import loop as truth
-from benchmarks.truth.balls import BallLoop, true_code
-from benchmarks.truth.filtered import Rational, largest_modulus, without_zeros
+from benchmarks.truth.balls import BallLoop, InBalls, Rational
 
 DIGITS = 120
 WORKING = 260  # digits; the rest is for what stiff devices lose
@@ -163,23 +160,8 @@ def resolvent(
     return numerator, denominator
 
 
-def value(falling: list[mpf], z: int) -> mpf:
-    """The polynomial's value at z."""
-    return reduce(lambda before, coefficient: before * z + coefficient, falling)
-
-
-def shifted(falling: list[mpf]) -> list[mpf]:
-    """Coefficients in powers of z - 1, by one division after the other."""
-    rest, coefficients = falling, []
-    while rest:
-        sums = list(accumulate(rest))
-        coefficients.append(sums.pop())
-        rest = sums
-    return coefficients[::-1]
-
-
 @dataclass(frozen=True)
-class DeviceLoop:
+class DeviceLoop(InBalls):
     """A system, a delay in samples, an estimator of T times the velocity, and a position filter."""
 
     system: System
@@ -199,35 +181,13 @@ class DeviceLoop:
                 flint.arb_poly([ball(value) for value in falling[::-1]])
                 for falling in self.plant[:2]
             )
-            (nv, dv), (np_, dp) = (
-                tuple(map(flint.arb_poly, pair)) for pair in (self.velocity, self.position)
-            )
-            base = flint.arb_poly([0] * self.plant.lag + [1]) * below * dp * dv
-            inverse = 1 / base[base.degree()]
-            rate = inverse / flint.arb(self.sample_time)
-            parts = base * inverse, above * np_ * dv * inverse, above * nv * dp * rate
-            return BallLoop(*parts, bits)
-
-    def polynomial(self, stiffness: float, damping: float) -> list[flint.arb]:
-        """p(z) for K in N/m and B in N s/m, highest power first, without roots at 0."""
-        return without_zeros(self.balls().polynomial(stiffness, damping))
-
-    def code(self, stiffness: float, damping: float) -> int:
-        """The verdict, by certified roots."""
-        return true_code(self.polynomial(stiffness, damping))
-
-    def radius(self, stiffness: float, damping: float) -> flint.arb:
-        """The spectral radius in a ball."""
-        return largest_modulus(self.polynomial(stiffness, damping))
+        loop = BallLoop.of(above, below, self.plant.lag, self.velocity, self.position, bits)
+        return loop.in_units(1.0, self.sample_time)
 
 
 def ball(value: mpf) -> flint.arb:
     """A ball about a number of mpmath of which DIGITS are right."""
-    if value == 0:
-        return flint.arb(0)
-    sign, mantissa, exponent, _ = value._mpf_
-    middle = flint.arb(int(-mantissa if sign else mantissa)) * flint.arb(2) ** int(exponent)
-    return middle * flint.arb(1, flint.arb(10) ** -DIGITS)
+    return truth.as_arb(value) * flint.arb(1, flint.arb(10) ** -DIGITS)
 
 
 # ------------------------------------------------------------------------------- random devices

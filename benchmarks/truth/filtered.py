@@ -11,10 +11,7 @@ from dataclasses import dataclass
 import flint
 import numpy as np
 
-from benchmarks.truth import loop as truth
-from benchmarks.truth.balls import BallLoop, ExactPlant, true_code
-
-Rational = tuple[flint.fmpq_poly, flint.fmpq_poly]  # numerator and denominator, in powers of z
+from benchmarks.truth.balls import BallLoop, ExactPlant, InBalls, Rational
 
 
 def exact(value: float) -> flint.fmpq:
@@ -76,7 +73,7 @@ def butterworth(cutoff: float, order: int) -> Rational:
 
 
 @dataclass(frozen=True)
-class FilteredLoop:
+class FilteredLoop(InBalls):
     """A hand, a delay, an estimator of T times the velocity, and a position filter."""
 
     gamma: float
@@ -87,43 +84,5 @@ class FilteredLoop:
 
     def balls(self, bits: int = 1400) -> BallLoop:
         """p(z) for all walls, not divided by what cancels."""
-        whole, _ = truth.split_delay(self.delay)
         plant = ExactPlant.of(self.gamma, self.delta, self.delay, bits)
-        with flint.ctx.workprec(bits):
-            denominator = flint.arb_poly([plant.d0, plant.d1, 1])
-            numerator = flint.arb_poly([plant.n0, plant.n1, plant.n2])
-            (nv, dv), (np_, dp) = (
-                tuple(map(flint.arb_poly, pair)) for pair in (self.velocity, self.position)
-            )
-            base = flint.arb_poly([0] * (whole + 1) + [1]) * denominator * dp * dv
-            leading = base[base.degree()]
-            parts = base, numerator * np_ * dv, numerator * nv * dp
-            return BallLoop(*(part * (1 / leading) for part in parts), bits)
-
-    def polynomial(self, alpha: float, beta: float, bits: int = 1400) -> list[flint.arb]:
-        """p(z), highest power first, not divided by what cancels."""
-        return self.balls(bits).polynomial(alpha, beta)
-
-    def code(self, alpha: float, beta: float) -> int:
-        """The verdict, by certified roots."""
-        return true_code(without_zeros(self.polynomial(alpha, beta)))
-
-    def radius(self, alpha: float, beta: float) -> flint.arb:
-        """The spectral radius in a ball."""
-        return largest_modulus(without_zeros(self.polynomial(alpha, beta)))
-
-
-def largest_modulus(coefficients: list[flint.arb]) -> flint.arb:
-    """The largest modulus of a root in a ball."""
-    with flint.ctx.workprec(600):
-        roots = truth.isolated_roots(coefficients, flint.arb(2) ** -200)
-        if roots is None:
-            raise truth.NotCertain(f"roots of {coefficients} are not told apart")
-        moduli = [abs(root) for root in roots]
-        return max(moduli, key=lambda modulus: float(modulus.mid()))
-
-
-def without_zeros(coefficients: list[flint.arb]) -> list[flint.arb]:
-    """Drop the roots at 0: exact zeros at the end."""
-    last = max(index for index, value in enumerate(coefficients) if value != 0)
-    return coefficients[: last + 1]
+        return plant.loop(self.delay, self.velocity, self.position)

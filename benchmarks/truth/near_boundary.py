@@ -7,6 +7,7 @@ import numpy as np
 
 from benchmarks.truth import loop as truth
 from benchmarks.truth.balls import ExactPlant
+from benchmarks.truth.boundary import Boundary
 
 
 class Points(NamedTuple):
@@ -21,13 +22,9 @@ def points_near_the_boundary(
     """Curve and both lines of the boundary, most points within 1e-6 ... 1e-16 of them."""
     whole, _ = truth.split_delay(delay)
     plant = ExactPlant.of(gamma, delta, delay)
-    d1, d0, n2, n1, n0 = (float(value.mid()) for value in plant[:5])
     low = np.pi * 10 ** rng.uniform(-3, 0, count) / (1 + whole)
     theta = np.where(rng.random(count) < 0.5, rng.uniform(0, np.pi, count), low)
-    z = np.exp(1j * theta)
-    w = -(z ** (whole + 1)) * (z * z + d1 * z + d0) / (n2 * z * z + n1 * z + n0)
-    beta = w.imag / np.sin(theta)
-    alpha = w.real - beta * (1 - np.cos(theta))
+    alpha, beta = Boundary(plant.loop(delay)).solved(np.exp(1j * theta)).T
     free = rng.uniform(-0.2, 1, count) * 4 / (1 + delay)
     with flint.ctx.workprec(plant.bits):
         difference = plant.n2 - plant.n1 + plant.n0
