@@ -13,6 +13,7 @@ hand, or a stiffer one stable for all.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from time import process_time
 from typing import NamedTuple
 
@@ -22,8 +23,7 @@ from benchmarks import record
 from benchmarks.grids import largest_modulus
 from benchmarks.record import Row
 from benchmarks.truth import loop as truth
-from benchmarks.truth.balls import BallLoop
-from benchmarks.truth.filtered import FilteredLoop, average, difference
+from benchmarks.truth.filtered import average, difference
 from benchmarks.truth.random_loops import DeviceLoop, Filters, MassLoop
 from jaxstab import Filter, Velocity
 from jaxstab.boxes import HandRange, RobustLimit
@@ -47,14 +47,16 @@ _DAMPINGS = np.linspace(-1.0, 3.0, 81)  # in units of m/T
 _CLEAR = 1e-6  # a radius that is as much below 1
 _LIKELY = 4  # stiffer walls of a range that are judged
 
+Loop = MassLoop | DeviceLoop
+
 PLAIN = Filters(Velocity.difference(samples=1), Filter(), (difference(1), average(1)))
 
 
 def rows(small: bool) -> Iterator[Row]:
     rng = np.random.default_rng(20121)
     yield _limits(rng, _SMALL_RANGES if small else _RANGES)
-    for name, campaign in (("margins", margins), ("margins of devices", device_margins)):
-        tally, seconds = campaign(rng, _SMALL_WALLS if small else _WALLS)
+    for name, draw in (("margins", mass_loop), ("margins of devices", DeviceLoop.drawn)):
+        tally, seconds = margins(rng, _SMALL_WALLS if small else _WALLS, draw)
         yield _row(name, tally.wrong / max(tally.judged, 1), seconds, **tally._asdict())
 
 
@@ -79,37 +81,29 @@ class Campaign(NamedTuple):
     seconds: list[float]
 
 
-def margins(rng: np.random.Generator, count: int) -> Campaign:
-    """Judge the margins of walls of random loops of one mass, a third of them without filters."""
+def margins(
+    rng: np.random.Generator, count: int, draw: Callable[[np.random.Generator], Loop]
+) -> Campaign:
+    """Judge the margins of walls of random loops."""
     tally, seconds = Tally(), []
-    for loop, region in _loops(rng, _mass_loop, count):
+    for loop, region in _loops(rng, draw, count):
+        wall = _wall(rng, region)
+        start = process_time()
+        code, *found = _crossings(loop, wall)
+        seconds.append(process_time() - start)
+        if code == Verdict.STABLE:
+            one = loop.loop
+            ends = np.array(found[::2]) * [*np.repeat([one.alpha(1.0), one.beta(1.0)], 2), 1.0]
+            tally += judged_steps(loop, wall, steps_to(ends, wall), region)
+    return Campaign(tally, seconds)
+
+
+def _crossings(loop: Loop, wall: np.ndarray) -> Sequence[float]:
+    """The answer of jaxstab: for arrays of loops of one mass, and for one device in SI."""
+    if isinstance(loop, MassLoop):
         filters = given_filters(*loop.filters[:2])
-        wall = _wall(rng, region)
-        start = process_time()
-        code, *found = first_crossings(np.array([[*wall, *loop.plant]]), filters)[0]
-        seconds.append(process_time() - start)
-        if code == Verdict.STABLE:
-            tally += judged_steps(loop, wall, steps_to(found[::2], wall), region)
-    return Campaign(tally, seconds)
-
-
-def device_margins(rng: np.random.Generator, count: int) -> Campaign:
-    """Judge the margins of walls of random devices with filters."""
-    tally, seconds = Tally(), []
-    for loop, region in _loops(rng, DeviceLoop.drawn, count):
-        wall = _wall(rng, region)
-        units = np.array(loop.units)
-        start = process_time()
-        code, *found = crossings_of(loop.loop, tuple((wall / units).tolist()))
-        seconds.append(process_time() - start)
-        if code == Verdict.STABLE:
-            ends = np.array(found[::2]) * [*np.repeat(units, 2), 1.0]
-            *steps, later = steps_to(ends, wall)
-            tally += _judged_delay(loop, wall, float(later))
-            size = np.ptp(_finite(region), axis=0)
-            for way, step in enumerate(steps):
-                tally += _judged_gain(loop.balls, wall, way // 2, float(step), size[way // 2])
-    return Campaign(tally, seconds)
+        return first_crossings(np.array([[*wall, *loop.plant]]), filters)[0]
+    return crossings_of(loop.loop, tuple((wall / loop.units).tolist()))
 
 
 def steps_to(ends: Sequence[float], wall: np.ndarray) -> np.ndarray:
@@ -117,14 +111,15 @@ def steps_to(ends: Sequence[float], wall: np.ndarray) -> np.ndarray:
     return np.array(ends) - [*np.repeat(wall[:2], 2), 0.0]
 
 
-def _mass_loop(rng: np.random.Generator) -> MassLoop:
+def mass_loop(rng: np.random.Generator) -> MassLoop:
+    """A loop of one mass, a third of them without filters."""
     loop = MassLoop.drawn(rng)
     return MassLoop(loop.plant, PLAIN) if rng.random() < 1.0 / 3.0 else loop
 
 
 def _loops(
-    rng: np.random.Generator, draw: Callable[[np.random.Generator], MassLoop], count: int
-) -> Iterator[tuple[MassLoop, StableRegion]]:
+    rng: np.random.Generator, draw: Callable[[np.random.Generator], Loop], count: int
+) -> Iterator[tuple[Loop, StableRegion]]:
     """Yield random loops that have a region."""
     given = 0
     while given < count:
@@ -148,52 +143,41 @@ def _wall(rng: np.random.Generator, region: StableRegion) -> np.ndarray:
     return wall
 
 
-def judged_steps(
-    loop: MassLoop, wall: np.ndarray, steps: np.ndarray, region: StableRegion
-) -> Tally:
+def judged_steps(loop: Loop, wall: np.ndarray, steps: np.ndarray, region: StableRegion) -> Tally:
     """Judge the steps of a wall, one for each of ``WAYS``."""
-    tally, size = Tally(), np.ptp(_finite(region), axis=0)
-    for (axis, _), step in zip(WAYS[:-1], steps, strict=False):
-        tally += _judged_gain(loop.balls, wall, axis, float(step), size[axis])
-    gamma, delta, delay = loop.plant
-    way = min(steps[-1], _FARTHEST_DELAY)
-    for part in _PARTS:
-        later = FilteredLoop(gamma, delta, float(delay + part * way), *loop.filters.truths)
-        is_stable = later.balls().is_stable(*map(float, wall))
-        if is_stable is not None:
-            tally += Tally(1, int(not is_stable))
-    return tally
+    size = np.ptp(_finite(region), axis=0)
 
-
-def _judged_delay(loop: DeviceLoop, wall: np.ndarray, step: float) -> Tally:
-    """Judge an extra delay."""
-
-    def is_stable(way: float) -> bool | None:
-        balls = loop.balls_at(float(loop.device.delay + way))
-        return balls.is_stable(*map(float, wall))
-
-    within = [is_stable(part * min(step, _FARTHEST_DELAY)) for part in _DELAY_PARTS]
-    farther = min(step * (1.0 + _FARTHER), _FARTHEST_DELAY) + _SHARE
-    is_short = step < _FARTHEST_DELAY and is_stable(farther) is True
-    return Tally(
-        sum(one is not None for one in within), sum(one is False for one in within), int(is_short)
-    )
-
-
-def _judged_gain(balls: BallLoop, wall: np.ndarray, axis: int, step: float, size: float) -> Tally:
-    def is_stable(way: float, most: float = np.inf) -> bool | None:
+    def with_gain(axis: int, way: float) -> bool | None:
         moved = wall.copy()
         moved[axis] += way
-        if abs(moved[axis] - wall[axis]) >= most:  # rounded to the end, which is not claimed
-            return None
-        return balls.is_stable(*map(float, moved))
+        return loop.balls.is_stable(*map(float, moved))
 
-    within = [is_stable(part * step, abs(step)) for part in _PARTS]
-    farther = step + np.copysign(max(_FARTHER * abs(step), _SHARE * size), step)
+    def with_delay(way: float) -> bool | None:
+        return loop.balls_at(float(loop.loop.delay_samples + way)).is_stable(*map(float, wall))
+
+    tally = Tally()
+    for (axis, _), step in zip(WAYS[:-1], steps[:-1].tolist(), strict=True):
+        # A part that is rounded to the end, which is not claimed, is left out.
+        parts = [part for part in _PARTS if abs(wall[axis] + part * step - wall[axis]) < abs(step)]
+        farther = step + np.copysign(max(_FARTHER * abs(step), _SHARE * size[axis]), step)
+        tally += _judged(partial(with_gain, axis), step, parts, farther)
+    way = min(float(steps[-1]), _FARTHEST_DELAY)
+    farther = way * (1.0 + _FARTHER) + _SHARE if way < _FARTHEST_DELAY else None
+    return tally + _judged(with_delay, way, _DELAY_PARTS, farther)
+
+
+def _judged(
+    is_stable: Callable[[float], bool | None],
+    step: float,
+    parts: Sequence[float],
+    farther: float | None,
+) -> Tally:
+    """Judge parts of a step, and whether the wall is still stable farther, if that can be short."""
+    within = [is_stable(part * step) for part in parts]
     return Tally(
         sum(one is not None for one in within),
         sum(one is False for one in within),
-        int(is_stable(farther) is True),
+        int(farther is not None and is_stable(farther) is True),
     )
 
 

@@ -238,7 +238,7 @@ def test_the_judges_of_ranges_find_margins_and_limits_that_are_false(
     """A margin 13 % short, and a limit 2.4 times too low: both were once answers."""
     loop, wall = MassLoop(WALL[2:], PLAIN), np.array(WALL[:2])
     steps = steps_to(first_crossings(np.array([WALL]))[0][1::2], wall)
-    for share, wrong, short in ((1.0, 0, 0), (0.87, 0, 4), (1.01, 5, 0)):  # no delay is short
+    for share, wrong, short in ((1.0, 0, 0), (0.87, 0, 5), (1.01, 5, 0)):
         tally = judged_steps(loop, wall, share * steps, loop.region())
         assert (tally.wrong, tally.short) == (wrong, short)
     answer = LOOP.robust_limit(HANDS)

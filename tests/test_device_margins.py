@@ -1,12 +1,15 @@
 """Margins of any linear device against certified roots, and against those of one mass."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 from campaign import many
 
 from benchmarks import ranges
 from benchmarks.truth import devices, filtered
-from benchmarks.truth.random_loops import device_of
+from benchmarks.truth.random_loops import DeviceLoop, device_of
 from jaxstab import HapticLoop, Velocity, Verdict
 from jaxstab.model.device import Device, Hand
 
@@ -64,14 +67,14 @@ def test_a_device_that_is_far_too_fast_for_its_sampling_has_margins() -> None:
 
 @pytest.mark.campaign
 def test_margins_of_random_devices_end_where_certified_roots_cross() -> None:
-    tally, _ = ranges.device_margins(np.random.default_rng(4), 3)
+    tally, _ = ranges.margins(np.random.default_rng(4), 3, DeviceLoop.drawn)
     assert tally.judged > 30
     assert tally.wrong == tally.short == 0
 
 
 @pytest.mark.campaign
-@pytest.mark.parametrize("kind", ["margins", "device_margins"])
-def test_no_claim_about_random_loops_with_filters_is_wrong(kind: str) -> None:
-    tally, _ = getattr(ranges, kind)(np.random.default_rng(20), many(100, 5))
+@pytest.mark.parametrize("draw", [ranges.mass_loop, DeviceLoop.drawn])
+def test_no_claim_about_random_loops_with_filters_is_wrong(draw: Callable[..., Any]) -> None:
+    tally, _ = ranges.margins(np.random.default_rng(20), many(100, 5), draw)
     assert tally.judged > 8 * many(100, 5)
     assert tally.wrong == 0

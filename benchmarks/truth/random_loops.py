@@ -55,7 +55,11 @@ class MassLoop:
     @cached_property
     def balls(self) -> BallLoop:
         """The truth."""
-        return FilteredLoop(*self.plant, *self.filters.truths).balls()
+        return self.balls_at(self.plant[2])
+
+    def balls_at(self, delay: float) -> BallLoop:
+        """The truth with another delay in samples."""
+        return FilteredLoop(*self.plant[:2], delay, *self.filters.truths).balls()
 
     def verdict(self, alpha: np.ndarray, beta: np.ndarray) -> Any:
         return jaxstab.verdict(alpha, beta, **by_name(*self.plant), **self._named)
