@@ -43,13 +43,20 @@ def polynomial(
     return p
 
 
+def companions(p: np.ndarray) -> np.ndarray:
+    """The companion matrices of monic polynomials, as numpy.roots has them."""
+    degree = p.shape[-1] - 1
+    matrices = np.zeros((*p.shape[:-1], degree, degree))
+    matrices[..., 0, :] = -p[..., 1:]
+    matrices[..., range(1, degree), range(degree - 1)] = 1.0
+    return matrices
+
+
 def radius(p: np.ndarray) -> np.ndarray:
     """The largest modulus of a root of each polynomial; infinite where a coefficient is."""
     is_finite = np.isfinite(p).all(axis=-1)
-    companion = np.zeros((*p.shape[:-1], p.shape[-1] - 1, p.shape[-1] - 1))
-    companion[..., 0, :] = np.where(is_finite[..., None], -p[..., 1:], 0.0)
-    companion[..., range(1, p.shape[-1] - 1), range(p.shape[-1] - 2)] = 1.0
-    return np.where(is_finite, np.abs(np.linalg.eigvals(companion)).max(axis=-1), np.inf)
+    poles = np.linalg.eigvals(companions(np.where(is_finite[..., None], p, 0.0)))
+    return np.where(is_finite, np.abs(poles).max(axis=-1), np.inf)
 
 
 def grid(

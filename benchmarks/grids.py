@@ -7,9 +7,9 @@ import contourpy
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import ArrayLike
 
 import jaxstab
+from benchmarks import eigenvalues
 from jaxstab.model import by_name
 
 LAPACK_WORK = 2e4  # points times degree squared of a timed call: as short as those of jaxstab
@@ -18,11 +18,6 @@ _BATCH = 1 << 15  # matrices per call of LAPACK, so that memory stays bounded
 jax_eigenvalues = jax.jit(jnp.linalg.eigvals)
 
 Function = Callable[[np.ndarray, np.ndarray], np.ndarray]
-
-
-def largest_modulus(poles: ArrayLike) -> np.ndarray:
-    """Return the modulus of the largest of each row of poles."""
-    return np.abs(np.asarray(poles)).max(axis=-1)
 
 
 class Outline(NamedTuple):
@@ -50,22 +45,12 @@ class LoopFamily:
             self.plant + np.multiply.outer(alpha, self.alpha) + np.multiply.outer(beta, self.beta)
         )
 
-    def companions(self, alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
-        """Return the companion matrices (point, degree, degree), as numpy.roots has them."""
-        coefficients = self.coefficients(alpha, beta)
-        degree = coefficients.shape[-1] - 1
-        matrices = np.zeros((*coefficients.shape[:-1], degree, degree))
-        matrices[...] = np.eye(degree, k=-1)
-        matrices[..., 0, :] = -coefficients[..., 1:]
-        return matrices
-
     def radius(self, alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
         """Return the spectral radius by batched LAPACK, for flat arrays of points."""
         found = np.empty(alpha.shape)
         for start in range(0, alpha.size, _BATCH):
             part = slice(start, start + _BATCH)
-            poles = np.linalg.eigvals(self.companions(alpha[part], beta[part]))
-            found[part] = largest_modulus(poles)
+            found[part] = eigenvalues.radius(self.coefficients(alpha[part], beta[part]))
         return found
 
 
@@ -95,83 +80,46 @@ def bisected(
     halvings times, again keeping those that bracket; then squares beside edges that the line
     crosses are added until none is missing. Zeros are interpolated linearly on the edges.
     """
-    plane = _Samples(function, alpha_ends, beta_ends, coarse << halvings)
+    count, start = coarse << halvings, np.array([alpha_ends[0], beta_ends[0]])
+    step = np.array([np.ptp(alpha_ends), np.ptp(beta_ends)]) / count
+    is_known, values = (np.zeros((count + 1, count + 1), kind) for kind in (bool, float))
+
+    def at(nodes: np.ndarray) -> np.ndarray:
+        """Function values at nodes (..., 2) of the finest lattice, each evaluated once."""
+        missing = np.unique(nodes[~is_known[*np.moveaxis(nodes, -1, 0)]], axis=0)
+        if missing.size:
+            values[*missing.T] = function(*(start + missing * step).T)
+            is_known[*missing.T] = True
+        return values[*np.moveaxis(nodes, -1, 0)]
+
+    def bracketing(squares: np.ndarray, side: int) -> np.ndarray:
+        known = np.empty((0, 2), np.int64)
+        while squares.size:
+            signs = at(squares[:, None] + side * _CORNERS) > 0.0
+            differs = signs.any(axis=1) & ~signs.all(axis=1)
+            squares, signs = squares[differs], signs[differs]
+            known = np.unique(np.concatenate([known, squares]), axis=0)
+            crossed = signs != np.roll(signs, -1, axis=1)  # the edge from each corner to the next
+            beside = np.unique((squares[:, None] + side * _BESIDE)[crossed], axis=0)
+            is_inside = ((beside >= 0) & (beside <= count - side)).all(axis=1)
+            is_new = ~np.isin(*(some @ [count + 1, 1] for some in (beside, known)))
+            squares = beside[is_inside & is_new]
+        return known
+
     side = 1 << halvings
     squares = np.stack(np.meshgrid(*2 * [np.arange(coarse) * side]), axis=-1).reshape(-1, 2)
-    squares = _with_neighbours(plane, _bracketing(plane, squares, side), side)
+    squares = bracketing(squares, side)
     while side > 1:
         side //= 2
-        parts = (squares[:, None] + side * _CORNERS[[0, 1, 3, 2]]).reshape(-1, 2)
-        squares = _with_neighbours(plane, _bracketing(plane, parts, side), side)
-    return _crossings(plane, squares)
+        squares = bracketing((squares[:, None] + side * _CORNERS).reshape(-1, 2), side)
+    corners = squares[:, None] + _CORNERS
+    here, following = at(corners), np.roll(at(corners), -1, axis=1)
+    crossed = (here > 0.0) != (following > 0.0)
+    part = here / np.where(crossed, here - following, 1.0)
+    found = start + step * (corners + part[..., None] * (np.roll(corners, -1, axis=1) - corners))
+    # A square has two crossings, or four at a saddle: joined in pairs.
+    return Outline(found[crossed], found[crossed].reshape(-1, 2, 2))
 
 
 _CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])  # of a square, around it
-
-
-class _Samples:
-    """Function values at the nodes of a fine lattice, each evaluated at most once."""
-
-    def __init__(
-        self, function: Function, alpha_ends: np.ndarray, beta_ends: np.ndarray, count: int
-    ) -> None:
-        self.function, self.count = function, count
-        self.start = np.array([alpha_ends[0], beta_ends[0]])
-        self.step = np.array([np.ptp(alpha_ends), np.ptp(beta_ends)]) / count
-        self.keys = np.empty(0, np.int64)
-        self.values = np.empty(0)
-
-    def at(self, nodes: np.ndarray) -> np.ndarray:
-        """Return the values at nodes (..., 2)."""
-        wanted = nodes[..., 0] * (self.count + 1) + nodes[..., 1]
-        missing = np.setdiff1d(wanted, self.keys)
-        if missing.size:
-            new = np.stack(np.divmod(missing, self.count + 1), axis=-1)
-            values = np.concatenate([self.values, self.function(*self.position(new).T)])
-            keys = np.concatenate([self.keys, missing])
-            order = np.argsort(keys)
-            self.keys, self.values = keys[order], values[order]
-        return self.values[np.searchsorted(self.keys, wanted)]
-
-    def position(self, nodes: np.ndarray) -> np.ndarray:
-        """Return (alpha, beta) of nodes."""
-        return self.start + nodes * self.step
-
-
-def _bracketing(plane: _Samples, squares: np.ndarray, side: int) -> np.ndarray:
-    signs = plane.at(squares[:, None] + side * _CORNERS) > 0.0
-    return squares[signs.any(axis=1) & ~signs.all(axis=1)]
-
-
-def _with_neighbours(plane: _Samples, squares: np.ndarray, side: int) -> np.ndarray:
-    """Add squares that bracket beside those that do, until there are no more."""
-    known = np.unique(squares, axis=0)
-    newest = known
-    while newest.size:
-        signs = plane.at(newest[:, None] + side * _CORNERS) > 0.0
-        crossed = signs != np.roll(signs, -1, axis=1)  # the edge from each corner to the next
-        beside = side * np.array([[0, -1], [1, 0], [0, 1], [-1, 0]])
-        candidates = np.unique((newest[:, None] + beside)[crossed], axis=0)
-        limit = plane.count - side
-        candidates = candidates[((candidates >= 0) & (candidates <= limit)).all(axis=1)]
-        candidates = candidates[~_contains(known, candidates, plane.count)]
-        newest = _bracketing(plane, candidates, side)
-        known = np.concatenate([known, newest])
-    return known
-
-
-def _contains(squares: np.ndarray, candidates: np.ndarray, count: int) -> np.ndarray:
-    keys = [rows[:, 0] * (count + 1) + rows[:, 1] for rows in (candidates, squares)]
-    return np.isin(*keys)
-
-
-def _crossings(plane: _Samples, squares: np.ndarray) -> Outline:
-    corners = squares[:, None] + _CORNERS
-    values = plane.at(corners)
-    following = np.roll(values, -1, axis=1)
-    crossed = (values > 0.0) != (following > 0.0)
-    part = values / np.where(crossed, values - following, 1.0)
-    start, end = plane.position(corners), plane.position(np.roll(corners, -1, axis=1))
-    found = start + part[..., None] * (end - start)
-    # A square has two crossings, or four at a saddle: joined in pairs.
-    return Outline(found[crossed], found[crossed].reshape(-1, 2, 2))
+_BESIDE = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]])  # the squares at the edges that begin there

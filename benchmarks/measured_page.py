@@ -1,15 +1,15 @@
 """The page docs/measured.md: its tables and its picture, of the rows of ``benchmarks.measured``."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.record import Row
+from benchmarks.table import of_cells, put_between
 
 PAGE = Path(__file__).parents[1] / "docs" / "measured.md"
-MARKERS = "<!-- written by python -m benchmarks measured: {} {} -->"
+MARKER = "written by python -m benchmarks measured: {} {}"
 ESTIMATORS = {
     "difference_low_pass": "difference, low pass",
     "foaw": "FOAW",
@@ -21,11 +21,7 @@ ESTIMATORS = {
 def write(found: list[Row]) -> None:
     """Put tables and picture into the page."""
     draw(found).savefig(PAGE.with_suffix(".png"), dpi=110)
-    text = PAGE.read_text(encoding="utf-8")
-    for name, table in tables(found).items():
-        begin, end = (MARKERS.format(name, side) for side in ("begin", "end"))
-        text = f"{text.split(begin)[0]}{begin}\n{table}\n{end}{text.split(end)[1]}"
-    PAGE.write_text(text, encoding="utf-8")
+    put_between(PAGE, MARKER, tables(found))
 
 
 def tables(found: list[Row]) -> dict[str, str]:
@@ -35,7 +31,7 @@ def tables(found: list[Row]) -> dict[str, str]:
         if row["section"] != "rate":
             key = row["section"], row["fitted_to"], row["paddle"]
             fits.setdefault(key, {})[row["estimator"]] = row["error"]
-    errors = [("model", "fitted to", *ESTIMATORS.values(), "the fitted paddle")]
+    errors = []
     for (model, fit, paddle), by_name in sorted(
         fits.items(), key=lambda item: -max(item[1].values())
     ):
@@ -45,21 +41,18 @@ def tables(found: list[Row]) -> dict[str, str]:
         )
         errors.append((model, fit, *cells, paddle))
     of_rates = [row for row in found if row["section"] == "rate"]
-    rates = [
-        ("largest K in N/mm", "250 Hz", "40 kHz"),
-        ("Choi and Tan", *_in_mm(of_rates[0], "measured")),
-    ]
+    rates = [("Choi and Tan", *_in_mm(of_rates[0], "measured"))]
     rates += [(row["method"], *_in_mm(row, "limits")) for row in of_rates]
-    return {"errors": _markdown(errors), "rates": _markdown(rates)}
+    return {
+        "errors": of_cells(
+            ("model", "fitted to", *ESTIMATORS.values(), "the fitted paddle"), errors
+        ),
+        "rates": of_cells(("largest K in N/mm", "250 Hz", "40 kHz"), rates),
+    }
 
 
 def _in_mm(row: Row, column: str) -> list[str]:
     return [f"{1e-3 * float(stiffness):.3g}" for stiffness in row[column].split()]
-
-
-def _markdown(lines: Sequence[tuple[str, ...]]) -> str:
-    table = [lines[0], ("---",) * len(lines[0]), *lines[1:]]
-    return "\n".join(f"| {' | '.join(line)} |" for line in table)
 
 
 def draw(found: list[Row]) -> Figure:

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxstab
+from benchmarks import eigenvalues
 from benchmarks.record import Row
 from benchmarks.timing import interleaved
 from benchmarks.truth.balls import largest_modulus
@@ -51,7 +52,7 @@ def _of_degree(
         "jaxstab.radius": (many // 64, partial(_largest, batch[: many // 64])),
         "jaxstab.radius, balls": (_FEW, partial(jaxstab.radius, given[:_FEW])),
         "jax.numpy.roots": (some, partial(_by_jax, batch[:some])),
-        "numpy eigvals": (some, partial(_by_numpy, few)),
+        "numpy eigvals": (some, partial(eigenvalues.radius, few)),
         "numpy.roots": (some, lambda: [np.abs(np.roots(row)).max() for row in few]),
     }
     timings = interleaved({name: call for name, (_, call) in calls.items()}, budget=budget, least=3)
@@ -109,10 +110,3 @@ def _drawn(rng: np.random.Generator, degree: int, count: int, is_clustered: bool
 @jax.jit
 def _by_jax(rows: Any) -> Any:
     return jnp.abs(jax.vmap(partial(jnp.roots, strip_zeros=False))(rows)).max(axis=-1)
-
-
-def _by_numpy(rows: np.ndarray) -> np.ndarray:
-    degree = rows.shape[1] - 1
-    companion = np.tile(np.eye(degree, k=-1), (len(rows), 1, 1))
-    companion[:, 0] = -rows[:, 1:]
-    return np.abs(np.linalg.eigvals(companion)).max(axis=-1)

@@ -19,8 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks import record
-from benchmarks.grids import largest_modulus
+from benchmarks import eigenvalues, record
 from benchmarks.record import Row
 from benchmarks.truth import loop as truth
 from benchmarks.truth.filtered import average, difference
@@ -30,7 +29,7 @@ from jaxstab.boxes import HandRange, RobustLimit
 from jaxstab.conventions import Verdict
 from jaxstab.loop import HapticLoop
 from jaxstab.loop.margins import WAYS, crossings_of, first_crossings
-from jaxstab.model import by_name, characteristic_polynomial, companion_matrix
+from jaxstab.model import by_name, characteristic_polynomial
 from jaxstab.model.filters import given_filters
 from jaxstab.results import StableRegion
 
@@ -242,7 +241,7 @@ def _row(name: str, error: float, seconds: list[float], **extra: int | float) ->
 def _radii(loop: HapticLoop, stiffness: np.ndarray, damping: np.ndarray) -> np.ndarray:
     plant = loop.gamma, loop.delta, loop.delay_samples
     walls = characteristic_polynomial(loop.alpha(stiffness), loop.beta(damping), **by_name(*plant))
-    return largest_modulus(np.linalg.eigvals(companion_matrix(walls)))
+    return eigenvalues.radius(np.asarray(walls))
 
 
 def _random_range(rng: np.random.Generator) -> tuple[HapticLoop, HandRange]:

@@ -3,10 +3,10 @@
 docs/accuracy.md has all of it below the table of rivals, of which README has some lines.
 """
 
-import re
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,10 +14,7 @@ from benchmarks.record import Record, Row
 
 ROOT = Path(__file__).parents[1]
 README, PAGE = ROOT / "README.md", ROOT / "docs" / "accuracy.md"
-_BEGIN, _END = "<!-- table of benchmarks: begin -->", "<!-- table of benchmarks: end -->"
-_DEVICES = "<!-- table of devices: begin -->", "<!-- table of devices: end -->"
 
-_RESOLUTIONS = "<!-- table of resolutions: begin -->", "<!-- table of resolutions: end -->"
 _WAYS = ("nearest", "linear", "cubic")
 _KINDS = {
     "random": "at random",
@@ -34,7 +31,6 @@ _OWN_REGIONS = ("stable_region", "regions_of")
 _POLYNOMIALS = ("degree 10", "degree 10, clustered", "degree 40", "degree 40, clustered")
 
 # What the tools of README's table need; fields of a row of that tool fill the braces.
-_RIVALS = "<!-- table of rivals: begin -->", "<!-- table of rivals: end -->"
 _NEEDS = {
     "jaxstab": "the device's numbers, {lines} lines; proved; starts in {first}",
     "numpy.roots, bisection": "p(z), formed by you, {lines} lines; starts in {first}",
@@ -49,48 +45,45 @@ Line = tuple[str, str, str, str, str]
 def markdown(records: list[Record]) -> str:
     """Return the table of the machine that has the most records, under the machine's name."""
     chosen = _of_one_machine(records)
-    table = map(_row, [_HEADING, ("---",) * len(_HEADING), *_lines(chosen)])
-    return "\n".join(
-        [_caption(chosen.get("throughput") or next(iter(chosen.values()))), "", *table]
-    )
+    lines = [
+        line for name in _LINES if name in chosen for line in _LINES[name](chosen[name]["rows"])
+    ]
+    caption = _caption(chosen.get("throughput") or next(iter(chosen.values())))
+    return f"{caption}\n\n{of_cells(_HEADING, lines)}"
 
 
 def rivals(records: list[Record], *, brief: bool = False) -> str:
     """Return what tools take for a loop and how wrong they are; the brief table is README's."""
     found = _of_one_machine(records)["rivals"]["rows"]
-    groups = list(dict.fromkeys(row["section"] for row in found))
+    groups = list(_grouped(found, "section"))
     tools = {
-        name: {row["section"]: row for row in found if row["method"] == name}
-        for name in dict.fromkeys(row["method"] for row in found)
+        name: {row["section"]: row for row in some}
+        for name, some in _grouped(found, "method").items()
     }
     if brief:
-        lines = [("tool", "CPU time per loop", "largest error", "what it needs")]
-        lines.append(("---",) * len(lines[0]))
+        lines = []
         for name, words in _NEEDS.items():
             own = list(tools[name].values())
             first = _time(own[0]["first_seconds"])
             lines.append((name, *_end(own), words.format(**own[0], first=first)))
-        return "\n".join(map(_row, lines))
-    heading = ("tool", *groups, "verdict", "wrong verdicts", "lines", "fresh process")
-    rows = [_row(heading), _row(("---",) * len(heading))]
+        return of_cells(("tool", "CPU time per loop", "largest error", "what it needs"), lines)
+    rows = []
     for name, of in tools.items():
         ends = (", ".join(_end([of[group]])) if group in of else "" for group in groups)
         own = [row for row in of.values() if "wrong" in row]
         verdict = _time(float(np.mean([r["cpu_seconds_per_verdict"] for r in own]))) if own else ""
-        wrong = " of ".join(str(sum(row[key] for row in own)) for key in ("wrong", "verdicts"))
+        wrong = " of ".join(map(str, _sums(own, "wrong", "verdicts")))
         first = next(
             (_time(row["first_seconds"]) for row in of.values() if "first_seconds" in row), ""
         )
         lines_ = str(next(iter(of.values()))["lines"])
-        rows.append(_row((name, *ends, verdict, wrong if own else "", lines_, first)))
-    return "\n".join(rows)
+        rows.append((name, *ends, verdict, wrong if own else "", lines_, first))
+    return of_cells(("tool", *groups, "verdict", "wrong verdicts", "lines", "fresh process"), rows)
 
 
 def _end(rows: list[Row]) -> tuple[str, str]:
     """CPU time per loop, and the largest error of ends that were found with how many were not."""
-    seconds, loops, missed, judged = (
-        sum(row[key] for row in rows) for key in ("cpu_seconds", "points", "missed", "judged")
-    )
+    seconds, loops, missed, judged = _sums(rows, "cpu_seconds", "points", "missed", "judged")
     errors = [row["largest_error_found"] for row in rows if row["missed"] < row["judged"]]
     said = [_error(max(errors))] if errors else []
     said += [f"{missed} of {judged} missed"] if missed else []
@@ -104,31 +97,32 @@ def _of_one_machine(records: list[Record]) -> dict[str, Record]:
     return {one["benchmark"]: one for one in records if one["machine"]["name"] == machine}
 
 
-def _lines(chosen: dict[str, Record]) -> list[Line]:
-    return [
-        line for name in _LINES if name in chosen for line in _LINES[name](chosen[name]["rows"])
-    ]
-
-
 def put_into_pages(records: list[Record]) -> None:
     """Replace what is between the markers in the README and in docs/accuracy.md."""
     devices = [one for one in records if one["benchmark"] == "accelerator"]
-    for page in (README, PAGE):
-        text = page.read_text(encoding="utf-8")
-        text = _replaced(text, _RIVALS, rivals(records, brief=page == README))
-        if page == PAGE:
-            text = _replaced(text, (_BEGIN, _END), markdown(records))
-        elif any(one["benchmark"] == "resolution" for one in records):
-            text = _replaced(text, _RESOLUTIONS, resolutions(records))
-        if page == PAGE and devices:
-            text = _replaced(text, _DEVICES, accelerated(devices))
-        page.write_text(text, encoding="utf-8")
+    of_readme = {"rivals": rivals(records, brief=True)}
+    if any(one["benchmark"] == "resolution" for one in records):
+        of_readme["resolutions"] = resolutions(records)
+    of_page = {"rivals": rivals(records), "benchmarks": markdown(records)}
+    if devices:
+        of_page["devices"] = accelerated(devices)
+    put_between(README, "table of {}: {}", of_readme)
+    put_between(PAGE, "table of {}: {}", of_page)
 
 
-def _replaced(text: str, markers: tuple[str, str], table: str) -> str:
-    begin, end = markers
-    pattern = f"{re.escape(begin)}.*{re.escape(end)}"
-    return re.sub(pattern, lambda _: f"{begin}\n{table}\n{end}", text, flags=re.DOTALL)
+def put_between(page: Path, marker: str, tables: dict[str, str]) -> None:
+    """Replace what is between the comments that mark where each table begins and ends."""
+    text = page.read_text(encoding="utf-8")
+    for name, table in tables.items():
+        begin, end = (f"<!-- {marker.format(name, side)} -->" for side in ("begin", "end"))
+        text = f"{text.split(begin)[0]}{begin}\n{table}\n{end}{text.split(end)[1]}"
+    page.write_text(text, encoding="utf-8")
+
+
+def of_cells(heading: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
+    """Return a table in Markdown."""
+    rows = [heading, ("---",) * len(heading), *lines]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
 def _caption(one: Record) -> str:
@@ -159,12 +153,8 @@ def _boundary(rows: list[Row]) -> Iterator[Line]:
 
 
 def _regions(rows: list[Row]) -> Iterator[Line]:
-    for method in dict.fromkeys(row["method"] for row in rows):
-        some = [row for row in rows if row["method"] == method]
-        slices, judged, wrong, unresolved = (
-            sum(row[column] for row in some)
-            for column in ("slices", "judged", "wrong", "unresolved")
-        )
+    for method, some in _grouped(rows, "method").items():
+        slices, judged, wrong, unresolved = _sums(some, "slices", "judged", "wrong", "unresolved")
         longest = max(row["delay"] for row in some)
         task = f"{slices:,} random slices, delays 0 to {longest:g}, {judged:,} points"
         error = f"{wrong:,} points wrong, {unresolved} slices unresolved"
@@ -195,10 +185,10 @@ def accelerated(records: list[Record]) -> str:
             times = [_time(row["seconds_per_point"]) for row in (device, host)]
             name = device["method"]
             ratio = f"{device['times_two_cores']:,.0f}"
-            cells = f"{kind}, delay {host['delay']:g}", name, *times, ratio, _error(device["error"])
-            lines.append(f"| {' | '.join(cells)} |")
-    head = "| task | device | per point | per point, two cores | ratio | contradictions |"
-    return "\n".join([head, "| --- | --- | --- | --- | --- | --- |", *lines])
+            task = f"{kind}, delay {host['delay']:g}"
+            lines.append((task, name, *times, ratio, _error(device["error"])))
+    head = "task", "device", "per point", "per point, two cores", "ratio", "contradictions"
+    return of_cells(head, lines)
 
 
 def _answers(rows: list[Row]) -> Iterator[Line]:
@@ -212,14 +202,14 @@ def resolutions(records: list[Record]) -> str:
     """Nodes along the axes against error, share computed, size and time, about the default."""
     (one,) = (record for record in records if record["benchmark"] == "resolution")
     head = "nodes", "size", "build", *(f"{name}: error, computed" for name in _WAYS)
-    lines = [_row(head), _row(("---",) * len(head))]
-    for section in list(dict.fromkeys(row["section"] for row in one["rows"]))[1:4]:
-        some = {row["method"]: row for row in one["rows"] if row["section"] == section}
+    lines = []
+    for section, rows in list(_grouped(one["rows"], "section").items())[1:4]:
+        some = {row["method"]: row for row in rows}
         first = some[_WAYS[0]]
         ways = (f"{some[name]['error']:.1e}, {some[name]['computed']:.2%}" for name in _WAYS)
         cells = section, _bytes(first["bytes"]), f"{_time(first['build_seconds'])} of CPU", *ways
-        lines.append(_row(cells))
-    return "\n".join(lines)
+        lines.append(cells)
+    return of_cells(head, lines)
 
 
 def _loops(rows: list[Row]) -> Iterator[Line]:
@@ -237,11 +227,9 @@ def _loops(rows: list[Row]) -> Iterator[Line]:
 
 def _exact(rows: list[Row]) -> Iterator[Line]:
     asked = [row for row in rows if row["method"] == "exact"]
-    for question in dict.fromkeys(row["section"].split()[0] for row in asked):
-        some = [row for row in asked if row["section"].split()[0] == question]
-        total, judged, wrong, undecided = (
-            sum(row[column] for row in some) for column in ("points", "judged", "wrong", "open")
-        )
+    asked = [row | {"question": row["section"].split()[0]} for row in asked]
+    for question, some in _grouped(asked, "question").items():
+        total, judged, wrong, undecided = _sums(some, "points", "judged", "wrong", "open")
         error = f"{wrong:,} of {judged:,} wrong, " if judged else ""
         error += f"{undecided:,} open"
         task = f"{total:,} {question} of random loops"
@@ -265,11 +253,8 @@ def _polynomials(rows: list[Row]) -> Iterator[Line]:
 
 def _stress(rows: list[Row]) -> Iterator[Line]:
     rows = [row for row in rows if row["section"] == "delay"]
-    for method in dict.fromkeys(row["method"] for row in rows):
-        some = [row for row in rows if row["method"] == method]
-        total, wrong, undecided = (
-            sum(row[column] for row in some) for column in ("points", "wrong", "undecided")
-        )
+    for method, some in _grouped(rows, "method").items():
+        total, wrong, undecided = _sums(some, "points", "wrong", "undecided")
         error = f"{wrong} wrong, {undecided / total:.1%} undecided"
         if "verdict" not in method:
             ulps = max(row["error"] for row in some)
@@ -309,8 +294,16 @@ _LINES: dict[str, Callable[[list[Row]], Iterator[Line]]] = {
 }
 
 
-def _row(cells: tuple[str, ...]) -> str:
-    return f"| {' | '.join(cells)} |"
+def _grouped(rows: list[Row], column: str) -> dict[str, list[Row]]:
+    """Rows by what they have in a column, in their order."""
+    groups: dict[str, list[Row]] = {}
+    for row in rows:
+        groups.setdefault(row[column], []).append(row)
+    return groups
+
+
+def _sums(rows: list[Row], *columns: str) -> list[Any]:
+    return [sum(row[column] for row in rows) for column in columns]
 
 
 def _time(seconds: float) -> str:

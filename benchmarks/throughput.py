@@ -17,7 +17,8 @@ import jax
 import numpy as np
 
 import jaxstab
-from benchmarks.grids import LAPACK_WORK, LoopFamily, jax_eigenvalues, largest_modulus
+from benchmarks.eigenvalues import companions
+from benchmarks.grids import LAPACK_WORK, LoopFamily, jax_eigenvalues
 from benchmarks.record import Row
 from benchmarks.timing import Timing, interleaved
 from benchmarks.truth.boundary import Boundary
@@ -135,8 +136,9 @@ def _methods(
 
     lapack = part(LAPACK_WORK / (family.plant.size - 1) ** 2)
     on_cpu = jax.default_backend() == "cpu"
-    matrices = family.companions(*lapack)
-    on_device = matrices if on_cpu else family.companions(*part(_EIGENVALUES_ON_ACCELERATOR))
+    matrices = companions(family.coefficients(*lapack))
+    few = part(_EIGENVALUES_ON_ACCELERATOR)
+    on_device = matrices if on_cpu else companions(family.coefficients(*few))
     on_device = jax.device_put(on_device)
     polynomials = family.coefficients(*part(_ONE_BY_ONE))
     systems = [control.tf([1.0], polynomial, dt=True) for polynomial in polynomials]
@@ -145,7 +147,9 @@ def _methods(
     companion = partial(radius, method="companion")
 
     def by_poles(poles: Callable[[np.ndarray], Any]) -> Callable[..., np.ndarray]:
-        return lambda *walls: largest_modulus([poles(p) for p in family.coefficients(*walls)])
+        return lambda *walls: np.array(
+            [np.abs(poles(p)).max() for p in family.coefficients(*walls)]
+        )
 
     return {
         "verdict": Method(len(slice_), partial(verdict, alpha, beta), verdict, is_verdict=True),
@@ -160,7 +164,7 @@ def _methods(
         "jax eigvals": Method(
             len(on_device),
             partial(jax_eigenvalues, on_device),
-            lambda *walls: largest_modulus(jax_eigenvalues(family.companions(*walls))),
+            by_poles(lambda p: jax_eigenvalues(companions(p))),
         ),
         "numpy.roots": Method(
             len(polynomials), lambda: [np.roots(p) for p in polynomials], by_poles(np.roots)

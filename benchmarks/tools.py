@@ -3,7 +3,7 @@
 `python -m benchmarks.tools NAME` answers ``EXAMPLE`` in a fresh process. A tool imports what it
 needs when it is asked. All but the simulation are given p(z), whose forming (hold, delay, filters)
 would be theirs, too; bisections end at neighbouring numbers. None of them proves an answer but
-``exact``, and that about coefficients that were rounded.
+``by_fractions``, and that about coefficients that were rounded.
 """
 
 import sys
@@ -79,10 +79,6 @@ def by_numpy(line: Line, t: float) -> bool:
     return bool(np.abs(np.roots(line.at(t))).max() < 1.0)
 
 
-def numpy_roots(line: Line) -> float:
-    return bisected(line, by_numpy)
-
-
 def scipy_brentq(line: Line) -> float:
     from scipy.optimize import brentq
 
@@ -153,10 +149,6 @@ def by_fractions(line: Line, t: float) -> bool:
     return True
 
 
-def exact(line: Line) -> float:
-    return bisected(line, by_fractions)
-
-
 def by_simulation(line: Line, t: float) -> bool:
     """Whether a joint comes closer to rest within 5,000 steps of MuJoCo."""
     import mujoco
@@ -183,10 +175,6 @@ def by_simulation(line: Line, t: float) -> bool:
     return bool(abs(data.qpos[0]) + joint.step * abs(data.qvel[0]) < 1e-3)
 
 
-def mujoco_bisection(line: Line) -> float:
-    return bisected(line, by_simulation, 20)
-
-
 class Tool(NamedTuple):
     """The end of a line, the functions that a user writes for it, and a verdict of its own."""
 
@@ -195,8 +183,13 @@ class Tool(NamedTuple):
     is_stable: IsStable | None = None
 
 
+def _by_bisection(is_stable: IsStable, halvings: int = 52) -> Tool:
+    end = partial(bisected, is_stable=is_stable, halvings=halvings)
+    return Tool(end, (bracketed, bisected, is_stable), is_stable)
+
+
 TOOLS = {
-    "numpy.roots, bisection": Tool(numpy_roots, (bracketed, bisected, by_numpy), by_numpy),
+    "numpy.roots, bisection": _by_bisection(by_numpy),
     "scipy brentq": Tool(scipy_brentq, (scipy_brentq, bracketed, by_numpy)),
     "python-control margins": Tool(
         partial(control_margins, method="best"), (_opened, control_margins), by_control
@@ -213,11 +206,9 @@ TOOLS = {
         )
         for count in (16, 50, 160)
     },
-    "python-flint, exact fractions": Tool(
-        exact, (bracketed, bisected, by_fractions), by_fractions
-    ),
-    MUJOCO: Tool(mujoco_bisection, (bracketed, bisected, by_simulation), by_simulation),
-}  # fmt: skip
+    "python-flint, exact fractions": _by_bisection(by_fractions),
+    MUJOCO: _by_bisection(by_simulation, 20),
+}
 
 if __name__ == "__main__":
     print(TOOLS[sys.argv[1]].end(EXAMPLE))

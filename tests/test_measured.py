@@ -28,7 +28,9 @@ def test_the_data_have_43_points_and_all_are_read() -> None:
 
 def test_the_tables_of_the_page_are_those_of_the_record() -> None:
     for name, table in measured_page.tables(RECORD["rows"]).items():
-        begin, end = (measured_page.MARKERS.format(name, side) for side in ("begin", "end"))
+        begin, end = (
+            f"<!-- {measured_page.MARKER.format(name, side)} -->" for side in ("begin", "end")
+        )
         assert f"{begin}\n{table}\n{end}" in PAGE
 
 

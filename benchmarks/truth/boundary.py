@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from benchmarks import eigenvalues
 from benchmarks.truth.balls import BallLoop
 
 _ON_CIRCLE = 1e-9  # float64 roots this close to the circle count as inside
@@ -35,12 +36,9 @@ class Boundary:
             ]
         )
         walls = walls[np.isfinite(walls).all(axis=1)]
-        is_stable = self._turns if size > _HIGH else self._holds
-        stable = walls[is_stable(walls)]
-        return stable if len(stable) else walls
-
-    def _holds(self, walls: np.ndarray) -> np.ndarray:
-        return self.largest_roots(walls) < 1.0 + _ON_CIRCLE
+        high = size > _HIGH
+        is_stable = self._turns(walls) if high else self.largest_roots(walls) < 1.0 + _ON_CIRCLE
+        return walls[is_stable] if is_stable.any() else walls
 
     def _turns(self, walls: np.ndarray) -> np.ndarray:
         """True where p(z)/z^n does not turn around 0 on a circle that is one sample wider."""
@@ -57,10 +55,7 @@ class Boundary:
     def largest_roots(self, walls: np.ndarray) -> np.ndarray:
         """Return the largest |z| / radius of walls (n, 2), by eigenvalues."""
         base, stiffness, damping = self.parts
-        p = base + walls[:, :1] * stiffness + walls[:, 1:] * damping
-        companion = np.tile(np.eye(p.shape[1] - 1, k=-1), (len(p), 1, 1))
-        companion[:, 0, :] = -p[:, 1:]
-        return np.max(np.abs(np.linalg.eigvals(companion)), axis=1, initial=0.0)
+        return eigenvalues.radius(base + walls[:, :1] * stiffness + walls[:, 1:] * damping)
 
     def solved(self, z: np.ndarray) -> np.ndarray:
         """Return walls (n, 2) with roots at points of the upper half circle."""
