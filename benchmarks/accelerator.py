@@ -7,19 +7,21 @@ share of answers that the two sides prove and that contradict each other: verdic
 1e-16 to 1e-8 of the boundary, radii apart by more than both bounds.
 """
 
-import json
 import os
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from functools import partial
-from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any
+from multiprocessing import get_context
+from typing import Any, NamedTuple
+from unittest.mock import patch
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
+import jaxstab
 from benchmarks.record import Row
+from benchmarks.timing import interleaved
 
 DELAYS = (0.0, 1.0, 2.0, 5.0, 10.0, 20.0)
 RADII = (1.0, 2.0, 5.0, 20.0)
@@ -34,36 +36,54 @@ _WINDOW = 20  # samples
 Call = Callable[[], Any]
 
 
+class Task(NamedTuple):
+    """What is timed, on so many points, and what is judged."""
+
+    section: str
+    delay: float
+    points: int
+    timed: Call
+    judged: Call
+
+
 def rows(small: bool) -> Iterator[Row]:
-    with TemporaryDirectory() as name:
-        host = _of_process(small, Path(name) / "host.npz", is_host=True)
-        device = _of_process(small, Path(name) / "device.npz", is_host=False)
-        with np.load(Path(name) / "host.npz") as known, np.load(Path(name) / "device.npz") as new:
-            errors = {task: _contradictions(known[task], new[task]) for task in known}
-    for one, other in zip(host, device, strict=True):
-        task = f"{one['section']} {one['delay']:g}"
+    host, device = (_of_process(small, is_host=is_host) for is_host in (True, False))
+    for (one, known), (other, new) in zip(host, device, strict=True):
         ratio = one["seconds_per_point"] / other["seconds_per_point"]
         yield one | {"times_two_cores": 1.0}
-        yield other | {"error": errors[task], "times_two_cores": ratio}
+        yield other | {"error": _contradictions(known, new), "times_two_cores": ratio}
 
 
-def _of_process(small: bool, path: Path, *, is_host: bool) -> list[Row]:
-    """Return the rows of one side, as its process prints them."""
-    environment = dict(os.environ, XLA_PYTHON_CLIENT_PREALLOCATE="false")
-    if is_host:
-        environment["JAX_PLATFORMS"] = "cpu"
+def _of_process(small: bool, *, is_host: bool) -> list[tuple[Row, np.ndarray]]:
+    """Return the rows of one side and the answers that are judged, from a process of its own."""
     points = 4e4 if small else _HOST_POINTS if is_host else _DEVICE_POINTS
-    command = [sys.executable, "-m", "benchmarks.accelerator", str(path), str(points)]
-    cores = sorted(os.sched_getaffinity(0))[:_CORES]
-    done = subprocess.run(
-        [*command, *(map(str, cores) if is_host else ())],
-        env=environment,
-        stdout=subprocess.PIPE,
-        text=True,
-        check=True,
-    )
-    rows: list[Row] = json.loads(done.stdout.splitlines()[-1])
-    return rows
+    cores = sorted(os.sched_getaffinity(0))[:_CORES] if is_host else []
+    flags = {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"} | ({"JAX_PLATFORMS": "cpu"} if cores else {})
+    with patch.dict(os.environ, flags), ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        return pool.submit(_measured, points, cores).result()
+
+
+def _measured(points: float, cores: list[int]) -> list[tuple[Row, np.ndarray]]:
+    if cores:
+        os.sched_setaffinity(0, cores)  # before JAX starts its threads
+    name = f"{_CORES} cores" if cores else jax.devices()[0].device_kind
+    tasks = list(_tasks(points))
+    answers = [np.asarray(task.judged()) for task in tasks]
+    calls = {f"{task.section} {task.delay:g}": task.timed for task in tasks}
+    timings = interleaved(calls, budget=0.5 if points > 1e5 else 0.05, most=20)
+    found = [
+        timing.row(
+            task.section,
+            name,
+            0.0,
+            MEASURE,
+            delay=task.delay,
+            points=task.points,
+            seconds_per_point=timing.median / task.points,
+        )
+        for task, timing in zip(tasks, timings.values(), strict=True)
+    ]
+    return list(zip(found, answers, strict=True))
 
 
 def _contradictions(known: np.ndarray, new: np.ndarray) -> float:
@@ -74,51 +94,14 @@ def _contradictions(known: np.ndarray, new: np.ndarray) -> float:
     return float(np.mean(abs(value - own) > error + bound))
 
 
-def main(path: str, points: str, *cores: str) -> int:
-    """Measure one side: answers of judged points go to a file, rows to the standard output."""
-    if cores:
-        os.sched_setaffinity(0, set(map(int, cores)))
-    import jax
-
-    from benchmarks.timing import interleaved
-
-    device = jax.devices()[0]
-    name = f"{_CORES} cores" if cores else device.device_kind
-    count = float(points)
-    timed, judged = _tasks(count)
-    np.savez(path, **{task: np.asarray(call()) for task, call in judged.items()})
-    timings = interleaved(timed, budget=0.5 if count > 1e5 else 0.05, most=20)
-    rows = []
-    for task, timing in timings.items():
-        section, delay = task.rsplit(" ", 1)
-        own = int(_side(count, section) ** 2)
-        per_point = {"seconds_per_point": timing.median / own}
-        rows.append(
-            timing.row(section, name, 0.0, MEASURE, delay=float(delay), points=own, **per_point)
-        )
-    print(json.dumps(rows))
-    return 0
-
-
-def _side(points: float, section: str) -> int:
-    return int((points * _SHARES.get(section, 1.0)) ** 0.5)
-
-
-def _tasks(points: float) -> tuple[dict[str, Call], dict[str, Call]]:
-    """Return what is timed, and what is judged."""
-    import jax
-    import jax.numpy as jnp
-
-    import jaxstab
-
-    window = jaxstab.Velocity.difference(samples=_WINDOW)
-    in_window = jax.jit(partial(jaxstab.verdict, **PLANT, delay=1.0, velocity=window))
-    timed: dict[str, Call] = {}
-    judged: dict[str, Call] = {}
-
-    def grid(section: str, alpha: float, beta: float) -> tuple[Any, Any]:
-        side = _side(points, section)
-        return jnp.linspace(0.0, alpha, side), jnp.linspace(0.0, beta, side)[:, None]
+def _tasks(points: float) -> Iterator[Task]:
+    def task(
+        section: str, delay: float, call: Call, gains: tuple[float, float], velocity: Any = None
+    ) -> Task:
+        side = int((points * _SHARES.get(section, 1.0)) ** 0.5)
+        alpha, beta = (jnp.linspace(0.0, most, side) for most in gains)
+        timed = partial(call, alpha, beta[:, None])
+        return Task(section, delay, side**2, timed, partial(call, *_near_boundary(delay, velocity)))
 
     def radius(*gains: Any, delay: float) -> Any:
         answer = jaxstab.spectral_radius(*gains, **PLANT, delay=delay)
@@ -126,25 +109,16 @@ def _tasks(points: float) -> tuple[dict[str, Call], dict[str, Call]]:
 
     for delay in DELAYS:
         verdict = partial(jaxstab.verdict, **PLANT, delay=delay)
-        axes = grid("verdict", 2.0 / (1.0 + delay) ** 2, 1.5 / (1.0 + delay))
-        timed[f"verdict {delay:g}"] = partial(verdict, *axes)
-        judged[f"verdict {delay:g}"] = partial(verdict, *_near_boundary(delay))
-    axes = grid("window of 20 samples", 0.01, 0.1)
-    timed["window of 20 samples 1"] = partial(in_window, *axes)
-    judged["window of 20 samples 1"] = partial(in_window, *_near_boundary(1.0, window))
+        yield task("verdict", delay, verdict, (2.0 / (1.0 + delay) ** 2, 1.5 / (1.0 + delay)))
+    window = jaxstab.Velocity.difference(samples=_WINDOW)
+    in_window = jax.jit(partial(jaxstab.verdict, **PLANT, delay=1.0, velocity=window))
+    yield task(f"window of {_WINDOW} samples", 1.0, in_window, (0.01, 0.1), window)
     for delay in RADII:
-        own = partial(radius, delay=delay)
-        axes = grid("spectral_radius", 2.0 / (1.0 + delay) ** 2, 1.5 / (1.0 + delay))
-        timed[f"spectral_radius {delay:g}"] = partial(own, *axes)
-        judged[f"spectral_radius {delay:g}"] = partial(own, *_near_boundary(delay))
-    return timed, judged
+        gains = 2.0 / (1.0 + delay) ** 2, 1.5 / (1.0 + delay)
+        yield task("spectral_radius", delay, partial(radius, delay=delay), gains)
 
 
 def _near_boundary(delay: float, velocity: Any = None) -> tuple[Any, Any]:
-    import jax.numpy as jnp
-
-    import jaxstab
-
     rng = np.random.default_rng(33)
     loop = jaxstab.HapticLoop(
         device_mass=1.0,
@@ -159,7 +133,3 @@ def _near_boundary(delay: float, velocity: Any = None) -> tuple[Any, Any]:
     limits = np.repeat(region.stiffness_limits(damping)[:, 1], 64)
     aside = rng.choice([-1.0, 1.0], limits.size) * 10.0 ** rng.uniform(-16.0, -8.0, limits.size)
     return jnp.asarray(limits * (1.0 + aside)), jnp.asarray(np.repeat(damping, 64))
-
-
-if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))

@@ -76,8 +76,9 @@ class Tally(NamedTuple):
     rival_wrong: int = 0
     rival_seconds: float = 0.0
 
+    @property
     def of_rival(self) -> "Tally":
-        """Return what became of them in the rival's hands."""
+        """What became of them in the rival's hands."""
         return Tally(self.asked, self.rival_wrong, 0, self.unjudged, self.rival_seconds)
 
 
@@ -99,8 +100,7 @@ def _rows_of(
     words: str, of_walls: list[Tally], of_radii: list[Tally], of_regions: list[Tally]
 ) -> Iterator[Row]:
     yield _row("walls" + words, "verdict", of_walls, "undecided")
-    rivals = [one.of_rival() for one in of_walls]
-    yield _row("walls" + words, "numpy eigvals", rivals, "undecided")
+    yield _row("walls" + words, "numpy eigvals", [one.of_rival for one in of_walls], "undecided")
     yield _row("radii" + words, "spectral_radius", of_radii, "unbounded")
     yield _row("points of regions" + words, "stable_region", of_regions, "unresolved")
 
@@ -111,13 +111,8 @@ def _tallies(kind: Kind, count: int, workers: int) -> Iterator[list[list[Tally]]
     with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
         answers = pool.map(partial(_judged, kind), range(count), chunksize=_AT_ONCE)
         for index, answer in enumerate(answers):
-            for judge, kept, one in zip(_JUDGES, tallies, answer, strict=True):
+            for kept, one in zip(tallies, answer, strict=True):
                 kept.append(one)
-                if one.wrong:
-                    words = f"{judge.__name__} {index}: {one.wrong} wrong"
-                    print(f"{words} at {_drawn(kind, index)[0]}", flush=True)
-                if judge is region and one.open:
-                    print(f"region {index}: UNRESOLVED at {_drawn(kind, index)[0]}", flush=True)
             if (index + 1) % _PROGRESS == 0 or index + 1 == count:
                 counts = (
                     f"{judge.__name__} {sum(one.wrong for one in kept)} wrong, "
@@ -129,20 +124,22 @@ def _tallies(kind: Kind, count: int, workers: int) -> Iterator[list[list[Tally]]
 
 
 def _judged(kind: Kind, index: int) -> list[Tally]:
-    """Return what became of the questions about one loop: its truth is computed once for all."""
-    loop, rng = _drawn(kind, index)
+    """Return what became of the questions about one loop: its truth is computed once for all.
+
+    It can be repeated alone.
+    """
+    rng = np.random.default_rng([20121120, index])
+    loop = kind.drawn(rng)
     drawn = rng.bit_generator.state
     tallies = []
     for judge in _JUDGES:
         rng.bit_generator.state = drawn  # as if it were the only question
         tallies.append(judge(loop, rng))
+        if tallies[-1].wrong:
+            print(f"{judge.__name__} {index}: {tallies[-1].wrong} wrong at {loop}", flush=True)
+        if judge is region and tallies[-1].open:
+            print(f"region {index}: UNRESOLVED at {loop}", flush=True)
     return tallies
-
-
-def _drawn(kind: Kind, index: int) -> tuple[Loop, np.random.Generator]:
-    """Return one loop, which can be repeated alone, and the generator after it."""
-    rng = np.random.default_rng([20121120, index])
-    return kind.drawn(rng), rng
 
 
 def _row(section: str, method: str, tallies: list[Tally], word: str) -> Row:

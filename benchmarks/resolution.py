@@ -30,7 +30,6 @@ GRIDS = ((9, 2, 2, 13), (17, 2, 2, 25), (33, 3, 3, 49), (65, 3, 3, 97), (129, 3,
 SMALL = ((5, 2, 2, 4), (9, 2, 2, 7))
 
 _PLANTS, _WALLS = 1000, 100
-_SPLINE = 3  # degree
 _ASIDE = 0.08, 0.1  # below and above the stable interval of beta
 
 Weights = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -53,14 +52,6 @@ def nearest(nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.eye(nodes.size)[np.searchsorted(middles, points)]
 
 
-def linear(nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
-    return _spline(1, nodes, points)
-
-
-def cubic(nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
-    return _spline(_SPLINE, nodes, points)
-
-
 def within_samples(weights: Weights, nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
     """The weights of each sample's own nodes: from a whole delay to the next."""
     whole = [k for k, node in enumerate(nodes.tolist()) if float(node).is_integer()]
@@ -74,12 +65,12 @@ def within_samples(weights: Weights, nodes: np.ndarray, points: np.ndarray) -> n
 
 
 def _spline(degree: int, nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
-    spline = make_interp_spline(nodes, np.eye(nodes.size), min(degree, nodes.size - 1))
-    values: np.ndarray = spline(points)
-    return values
+    return make_interp_spline(nodes, np.eye(nodes.size), min(degree, nodes.size - 1))(points)
 
 
-METHODS: dict[str, Weights] = {"nearest": nearest, "linear": linear, "cubic": cubic}
+METHODS: dict[str, Weights] = {
+    "nearest": nearest, "linear": partial(_spline, 1), "cubic": partial(_spline, 3),
+}  # fmt: skip
 
 
 def rows(small: bool) -> Iterator[Row]:
@@ -154,13 +145,8 @@ def _row(
 def _plant_weights(
     weights: Weights, table: LimitTable, plants: list[np.ndarray]
 ) -> list[np.ndarray]:
-    gamma, delta, delay = table.axes
-    in_samples = partial(within_samples, weights)
-    return [
-        weights(gamma, plants[0]),
-        weights(delta, plants[1]),
-        in_samples(delay, plants[2]),
-    ]
+    each = weights, weights, partial(within_samples, weights)
+    return [one(*pair) for one, *pair in zip(each, table.axes, plants, strict=True)]
 
 
 def _errors(table: LimitTable, weights: Weights) -> tuple[np.ndarray, np.ndarray]:

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mpmath import mp, mpf
+from validity import first_rise, random_questions
 
 from benchmarks.truth import loop as truth
-from benchmarks.truth.validity import first_rise, random_questions
 from jaxstab import HapticLoop
 from jaxstab.model import by_name
 from jaxstab.paper import (

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from campaign import many
 from commands import run
+from late_energy import late_energy
 from mpmath import mp, mpc, mpf
 from programs_in_c import STRICT, compiled, rows_of
 
@@ -18,7 +19,6 @@ import jaxstab.guard.build
 from benchmarks.truth.devices import DeviceLoop, Mechanism
 from benchmarks.truth.devices import mode as true_mode
 from benchmarks.truth.filtered import average, difference
-from benchmarks.truth.moving import late_energy
 from jaxstab import (
     Device,
     Hand,

@@ -10,9 +10,10 @@ import jax
 import numpy as np
 import pytest
 from jaxtyping import Float64
+from late_energy import late_energy
 
 from benchmarks import jitter as campaign
-from benchmarks.truth.moving import LOST, Moving, growth, late_energy
+from benchmarks.truth.moving import LOST, Moving, growth
 from jaxstab import Device, Filter, Hand, HandRange, HapticLoop, Mode, Velocity, Verdict
 from jaxstab.exact.turns import segments_of
 from jaxstab.loop.hands import LoopsWithHands

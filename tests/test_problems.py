@@ -201,7 +201,7 @@ def settling_is_honest(number: int, problem: Problem) -> bool:
 def polynomial_is_good(number: int, problem: Problem) -> bool:
     """Each coefficient within an ulp, or flushed; more is lost where N(z) nearly vanishes."""
     found = np.asarray(answers("characteristic_polynomial")[number])
-    exact = truth.coefficients_to(60, *problem.point)
+    exact = truth.polynomial(*problem.point)
     allowed = 2.0**-20 if "cancellation" in problem.tags else 2.0
     return all(
         truth.ulps(float(value), coefficient) <= 2 or abs(float(value) - coefficient) <= (
@@ -296,7 +296,7 @@ def minus_line_is_good(number: int, problem: Problem) -> bool:
     _, beta, gamma, delta, delay = problem.point
     whole, fraction = truth.split_delay(delay)
     with mp.workdps(300):
-        plant = truth.sampled_plant(gamma, delta, fraction if fraction else 0)
+        plant = truth.plant(gamma, delta, fraction, mp.dps)
         found = float(jaxstab.paper.minus_line(beta, gamma=gamma, delta=delta, delay=delay))
         if plant.difference == 0:
             return not np.isfinite(found)

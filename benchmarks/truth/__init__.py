@@ -8,6 +8,5 @@
 - ``random_loops``: such loops at random, and walls next to their boundary;
 - ``near_boundary``: points close to the boundary, to be judged;
 - ``moving``: loops whose delay moves;
-- ``validity``: where the error of the linear condition first rises through a level;
 - ``judge``: what each method says of many loops, against the truth.
 """

@@ -1,22 +1,63 @@
 """Loops and verdicts in balls of python-flint: quick where many points of one plant are asked."""
 
+import math
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import flint
 import numpy as np
+from mpmath import mp, mpf
 
-from benchmarks.truth import loop as truth
 from jaxstab import Verdict
 
 _UNDAMPED = 1e-5  # how far a root may be from the circle
 _NEWTON_STEPS = 12
 
 
+Number = int | float | mpf
 Rational = tuple[flint.fmpq_poly, flint.fmpq_poly]  # numerator and denominator, in powers of z
 
 _DIFFERENCE: Rational = flint.fmpq_poly([-1, 1]), flint.fmpq_poly([0, 1])  # over one sample
 _NO_FILTER: Rational = flint.fmpq_poly([1]), flint.fmpq_poly([1])
+
+
+class NotCertain(ArithmeticError):
+    """No precision was enough."""
+
+
+def as_mpf(ball: flint.arb) -> mpf:
+    """The midpoint, exactly."""
+    mantissa, exponent = ball.mid().man_exp()
+    with mp.workprec(max(int(mantissa).bit_length(), mp.prec)):
+        return mp.ldexp(mpf(int(mantissa)), int(exponent))
+
+
+def as_arb(value: Number) -> flint.arb:
+    """The exact ball of a number."""
+    sign, mantissa, exponent, _ = mpf(value)._mpf_
+    return flint.arb((-mantissa if sign else mantissa, exponent))
+
+
+def split_delay(delay: float) -> tuple[int, float]:
+    """The whole samples of a delay and the rest; both exact."""
+    whole = math.floor(delay)
+    return whole, delay - whole
+
+
+def isolated_roots(
+    coefficients: Sequence[flint.arb], tolerance: flint.arb
+) -> list[flint.acb] | None:
+    """All roots, each in a certified ball of its own, at flint's precision; those at 0 exactly.
+
+    None where some cannot be told apart.
+    """
+    last = max(n for n, c in enumerate(coefficients) if c != 0)
+    try:
+        balls = flint.acb_poly(coefficients[last::-1]).roots(tol=tolerance)
+    except ValueError:
+        return None
+    return balls + [flint.acb(0)] * (len(coefficients) - 1 - last)
 
 
 class ExactPlant(NamedTuple):
@@ -30,17 +71,20 @@ class ExactPlant(NamedTuple):
     bits: int
 
     @classmethod
-    def of(cls, gamma: float, delta: float, delay: float, bits: int = 1400) -> "ExactPlant":
-        _, fraction = truth.split_delay(delay)
+    def of(cls, gamma: Number, delta: Number, delay: Number, bits: int = 1400) -> "ExactPlant":
+        """z times C adj(z - Phi) (Gamma0 + Gamma1 / z), where Gamma0 holds the motion after
+        1 - fraction samples of force and Gamma1 the rest of that after one whole sample.
+        """
+        _, fraction = split_delay(delay)
         with flint.ctx.workprec(bits):
-            stiffness, damping = flint.arb(gamma), flint.arb(delta)
-            position, velocity = _motion(stiffness, damping, flint.arb(1))
+            stiffness, damping = as_arb(gamma), as_arb(delta)
+            position, velocity = motion_in_balls(stiffness, damping, flint.arb(1))
             state_12, state_22 = velocity, 1 - damping * velocity - stiffness * position
             d1, d0 = stiffness * position - 1 - state_22, (-damping).exp()
             if fraction == 0:
                 n1 = velocity**2 - state_22 * position
                 return cls(d1, d0, position, n1, flint.arb(0), bits)
-            n2, early = _motion(stiffness, damping, 1 - flint.arb(fraction))
+            n2, early = motion_in_balls(stiffness, damping, 1 - as_arb(fraction))
             late_position, late_velocity = position - n2, velocity - early
             n1 = late_position + state_12 * early - state_22 * n2
             n0 = state_12 * late_velocity - state_22 * late_position
@@ -50,16 +94,16 @@ class ExactPlant(NamedTuple):
         self, delay: float, velocity: Rational = _DIFFERENCE, position: Rational = _NO_FILTER
     ) -> "BallLoop":
         """p(z) for all walls, not divided by what cancels: a root at 0 at whole delays."""
-        whole, _ = truth.split_delay(delay)
+        whole, _ = split_delay(delay)
         with flint.ctx.workprec(self.bits):
             numerator = flint.arb_poly([self.n0, self.n1, self.n2])
             denominator = flint.arb_poly([self.d0, self.d1, 1])
         return BallLoop.of(numerator, denominator, whole + 1, velocity, position, self.bits)
 
-    def polynomial(self, alpha: float, beta: float, delay: float) -> list[flint.arb]:
+    def polynomial(self, alpha: Number, beta: Number, delay: float) -> list[flint.arb]:
         """p(z), highest power first."""
         p = self.loop(delay).polynomial(alpha, beta)
-        return p[:-1] if delay.is_integer() else p
+        return p if split_delay(delay)[1] else p[:-1]
 
     def code(self, alpha: float, beta: float, gamma: float, delay: float) -> int:
         """The verdict, by certified roots; UNSTABLE with one at 1, where alpha + gamma is 0."""
@@ -68,7 +112,7 @@ class ExactPlant(NamedTuple):
         return true_code(self.polynomial(alpha, beta, delay))
 
 
-def _motion(
+def motion_in_balls(
     stiffness: flint.arb, damping: flint.arb, time: flint.arb
 ) -> tuple[flint.arb, flint.arb]:
     """Position and velocity of the plant at rest after a unit of force for a time."""
@@ -81,16 +125,16 @@ def _motion(
 def moduli(coefficients: list[flint.arb], bits: int) -> list[flint.arb] | None:
     """The moduli of all roots in balls; None where so many bits do not tell the roots apart."""
     with flint.ctx.workprec(bits):
-        roots = truth.isolated_roots(coefficients, flint.arb(2) ** (-bits // 2))
+        roots = isolated_roots(coefficients, flint.arb(2) ** (-bits // 2))
         return None if roots is None else [abs(ball) for ball in roots]
 
 
 def largest_modulus(coefficients: list[flint.arb], bits: int = 600) -> flint.arb:
     """The largest modulus of a root in a ball."""
     with flint.ctx.workprec(bits):
-        roots = truth.isolated_roots(coefficients, flint.arb(2) ** (-bits // 3))
+        roots = isolated_roots(coefficients, flint.arb(2) ** (-bits // 3))
         if roots is None:
-            raise truth.NotCertain(f"roots of {coefficients} are not told apart")
+            raise NotCertain(f"roots of {coefficients} are not told apart")
         return max(map(abs, roots), key=lambda modulus: modulus.mid())
 
 
@@ -161,10 +205,10 @@ class BallLoop(NamedTuple):
             parts = base, numerator * np_ * dv, numerator * nv * dp
             return cls(*(part * inverse for part in parts), bits)
 
-    def polynomial(self, alpha: float, beta: float) -> list[flint.arb]:
+    def polynomial(self, alpha: Number, beta: Number) -> list[flint.arb]:
         """p(z), highest power first."""
         with flint.ctx.workprec(self.bits):
-            p = self.base + flint.arb(alpha) * self.stiffness + flint.arb(beta) * self.damping
+            p = self.base + as_arb(alpha) * self.stiffness + as_arb(beta) * self.damping
             return [p[k] for k in range(self.base.degree(), -1, -1)]
 
     def in_units(self, stiffness: float, damping: float) -> "BallLoop":
@@ -191,14 +235,17 @@ class BallLoop(NamedTuple):
             return angles
 
     def wall_with_roots_at(self, theta: float | flint.arb) -> tuple[float, float]:
-        """The wall that puts a pair of roots at e^(+-i theta), by Cramer's rule."""
+        """The wall that puts a pair of roots at e^(+-i theta), in float64."""
         with flint.ctx.workprec(max(self.bits, 1000)):
-            z = flint.acb(0, theta).exp()
-            base, stiffness, damping = (flint.acb_poly(part)(z) for part in self[:3])
-            below = (stiffness.conjugate() * damping).imag
-            alpha = (damping.conjugate() * base).imag / below
-            beta = -(stiffness.conjugate() * base).imag / below
+            alpha, beta = self.wall_with_root(flint.acb(0, theta).exp())
             return float(alpha.mid()), float(beta.mid())
+
+    def wall_with_root(self, z: flint.acb) -> tuple[flint.arb, flint.arb]:
+        """The wall that puts roots at z and its conjugate, by Cramer's rule."""
+        base, stiffness, damping = (flint.acb_poly(part)(z) for part in self[:3])
+        below = (stiffness.conjugate() * damping).imag
+        alpha = (damping.conjugate() * base).imag / below
+        return alpha, -(stiffness.conjugate() * base).imag / below
 
     def is_stable(self, alpha: float, beta: float, radius: float = 1.0) -> bool | None:
         """Whether all roots lie inside the circle of a radius; None where the balls do not tell."""
