@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any, NamedTuple
 
-import control
 import jax
 import numpy as np
 
@@ -54,7 +53,6 @@ _ESTIMATORS: dict[str, tuple[Velocity, Rational]] = {
     ),
 }
 _TILE = 512  # the quickest of those tried
-_ONE_BY_ONE = 200  # points of rivals that take one polynomial at a time
 _EIGENVALUES_ON_ACCELERATOR = 100
 _SHARES = 10.0 ** np.arange(-16.0, -2.0)  # of the gains, by which judged walls are moved
 _JUDGED = 16  # walls of the boundary
@@ -140,16 +138,13 @@ def _methods(
     few = part(_EIGENVALUES_ON_ACCELERATOR)
     on_device = matrices if on_cpu else companions(family.coefficients(*few))
     on_device = jax.device_put(on_device)
-    polynomials = family.coefficients(*part(_ONE_BY_ONE))
-    systems = [control.tf([1.0], polynomial, dt=True) for polynomial in polynomials]
     verdict, plain = partial(asked, jaxstab.verdict), _plain_verdict(family)
     radius = partial(asked, jaxstab.spectral_radius)
     companion = partial(radius, method="companion")
 
-    def by_poles(poles: Callable[[np.ndarray], Any]) -> Callable[..., np.ndarray]:
-        return lambda *walls: np.array(
-            [np.abs(poles(p)).max() for p in family.coefficients(*walls)]
-        )
+    def by_jax(*walls: np.ndarray) -> np.ndarray:
+        poles = jax_eigenvalues(companions(family.coefficients(*walls)))
+        return np.abs(np.asarray(poles)).max(axis=-1)
 
     return {
         "verdict": Method(len(slice_), partial(verdict, alpha, beta), verdict, is_verdict=True),
@@ -164,15 +159,7 @@ def _methods(
         "jax eigvals": Method(
             len(on_device),
             partial(jax_eigenvalues, on_device),
-            by_poles(lambda p: jax_eigenvalues(companions(p))),
-        ),
-        "numpy.roots": Method(
-            len(polynomials), lambda: [np.roots(p) for p in polynomials], by_poles(np.roots)
-        ),
-        "python-control poles": Method(
-            len(systems),
-            lambda: [system.poles() for system in systems],
-            by_poles(lambda p: control.tf([1.0], p, dt=True).poles()),
+            by_jax,
         ),
     }
 
