@@ -133,13 +133,14 @@ def _grids(exact: Judge, family: LoopFamily, count: int) -> dict[str, Call]:
         "eigenvalue grid": partial(eigenvalue_grid, family, alpha, beta),
         "verdict grid": partial(verdict_grid, alpha, beta, exact.delay),
         "n-cube bisection": partial(
-            bisected, _decay(family), alpha_ends, beta_ends, -(-count >> halvings), halvings
+            bisected,
+            lambda *walls: family.radius(*walls) - 1.0,
+            alpha_ends,
+            beta_ends,
+            -(-count >> halvings),
+            halvings,
         ),
     }
-
-
-def _decay(family: LoopFamily) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    return lambda alpha, beta: family.radius(alpha, beta) - 1.0
 
 
 def verdict_grid(alpha: np.ndarray, beta: np.ndarray, delay: float) -> Outline:
@@ -204,17 +205,15 @@ def _region_rows(exact: Judge, small: bool) -> Iterator[Row]:
         device_mass=1.0, device_damping=0.0, sample_time=1.0, delay=exact.delay
     )
     hands = {"hand_stiffness": gamma.ravel(), "device_damping": delta.ravel()}
-    grids = _grids(exact, LoopFamily(GAMMA, DELTA, exact.delay), 20 if small else 200)
-    calls: dict[str, Call] = {name: grids[name] for name in ("eigenvalue grid", "n-cube bisection")}
-    calls |= {
+    calls: dict[str, Call] = {
         "stable_region": partial(_stable_region, exact.delay, 1e-3 if small else 1e-6),
-        "regions_of": partial(_outlines, loop, hands),
+        "regions_of": lambda: jaxstab.regions_of(loop, **hands).outline,
     }
     for method, timing in interleaved(calls, budget=0.1 if small else 3.0).items():
         found, regions = timing.answer, 1
         if method == "regions_of":
             found, regions = found[-1], side**2  # the last one is of GAMMA and DELTA
-        points = found.points if isinstance(found, Outline) else np.asarray(found)
+        points = np.asarray(found)
         rate = regions / timing.median
         yield _row(
             "region", method, timing, exact, points, small, regions=regions, regions_per_second=rate
@@ -223,7 +222,3 @@ def _region_rows(exact: Judge, small: bool) -> Iterator[Row]:
 
 def _stable_region(delay: float, tolerance: float) -> np.ndarray:
     return stable_region(gamma=GAMMA, delta=DELTA, delay=delay, tolerance=tolerance).points
-
-
-def _outlines(loop: jaxstab.HapticLoop, hands: dict[str, np.ndarray]) -> np.ndarray:
-    return jaxstab.regions_of(loop, **hands).outline
