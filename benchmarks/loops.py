@@ -26,7 +26,6 @@ import numpy as np
 
 from benchmarks import record
 from benchmarks.record import Row
-from benchmarks.regions import DISTANCES
 from benchmarks.truth.balls import BallLoop
 from benchmarks.truth.boundary import Boundary
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop, hostile_walls, long_window
@@ -34,7 +33,7 @@ from jaxstab.conventions import Verdict
 from jaxstab.region import RegionStatus, StableRegion
 
 LOOPS = 10_000
-_PROGRESS = 500  # loops after which counts are printed
+_PROGRESS = 500  # loops after which the record is written
 _AT_ONCE = 10  # loops that a process is given
 MEASURE = "share of {} that balls refute"
 
@@ -63,6 +62,8 @@ _RADII = 10
 _POINTS_NEAR_ENDS = 16  # of the circle, of which those next to the region are asked
 _POINTS_NEAR_MODES = 16
 _POINTS = {"outline": 14, "corners": 8, "islands": 10, "boundary": 14, "anywhere": 4}
+_DOUBTED = 100  # points of outline and boundary, of which those are asked that are in doubt
+_DISTANCES = 10.0 ** -np.arange(3, 10)  # from the boundary, relative to the region
 
 
 class Tally(NamedTuple):
@@ -114,12 +115,7 @@ def _tallies(kind: Kind, count: int, workers: int) -> Iterator[list[list[Tally]]
             for kept, one in zip(tallies, answer, strict=True):
                 kept.append(one)
             if (index + 1) % _PROGRESS == 0 or index + 1 == count:
-                counts = (
-                    f"{judge.__name__} {sum(one.wrong for one in kept)} wrong, "
-                    f"{sum(one.open for one in kept)} open"
-                    for judge, kept in zip(_JUDGES, tallies, strict=True)
-                )
-                print(f"loops{kind.words} {index + 1}: {'; '.join(counts)}", flush=True)
+                print(f"loops{kind.words}: {index + 1} of {count}", flush=True)
                 yield tallies
 
 
@@ -218,30 +214,45 @@ def region(loop: Loop, rng: np.random.Generator) -> Tally:
 
 
 def probes(answer: StableRegion, balls: BallLoop, rng: np.random.Generator) -> np.ndarray:
-    """Return points (n, 2) anywhere, next to what a region has, and to what it may have missed."""
-    found = Boundary(balls).points(rng)
+    """Return points (n, 2) anywhere, next to what a region has, and to what it may have missed.
+
+    Half of those next to outline and boundary are where region and eigenvalues agree least.
+    """
+    boundary = Boundary(balls)
+    found = boundary.points(rng)
     outline = answer.points if len(answer.points) else found
     islands = [island.points for island in answer.islands] or [outline]
     corners = answer.corners if len(answer.corners) else outline
     size = np.ptp(outline, axis=0)
     island = islands[rng.integers(len(islands))]
     anywhere = rng.uniform(-0.2, 1.2, (_POINTS["anywhere"], 2)) * size + outline.min(axis=0)
+    here, share = rng.integers(0, len(outline), _DOUBTED), rng.choice([0.0, 0.5], (_DOUBTED, 1))
+    edges = outline[here] + share * (np.roll(outline, -1, axis=0) - outline)[here]
+    edges = edges[np.isfinite(edges).all(axis=1)]
+    found = found[rng.integers(0, len(found), _DOUBTED)]
+    edges = _at_largest(edges, boundary.largest_roots(edges))
+    found = _at_largest(found, np.abs(np.asarray(answer.distance(*found.T))))
     near = np.concatenate(
         [
             some[rng.integers(0, len(some), _POINTS[name])]
             for name, some in (
-                ("outline", outline), ("corners", corners), ("islands", island), ("boundary", found)
+                ("outline", edges), ("corners", corners), ("islands", island), ("boundary", found)
             )
         ]
     )  # fmt: skip
-    away = rng.choice(DISTANCES, (len(near), 1)) * rng.normal(size=near.shape)
+    away = rng.choice(_DISTANCES, (len(near), 1)) * rng.normal(size=near.shape)
     low, high = outline.min(axis=0) - 1e-3 * size, outline.max(axis=0) + 1e-3 * size
     ends = np.array([balls.wall_with_roots_at(theta) for theta in _angles_near_ends(rng)])
     ends = ends[np.all((ends > low) & (ends < high), axis=1)]
     walls = np.concatenate([ends, _walls_near_modes(balls, rng)])
-    aside = rng.choice(DISTANCES, (len(walls), 1)) * rng.normal(size=walls.shape)
+    aside = rng.choice(_DISTANCES, (len(walls), 1)) * rng.normal(size=walls.shape)
     sizes = size if len(answer.points) else np.abs(walls)
     return np.concatenate([anywhere, near + size * away, walls + sizes * aside])
+
+
+def _at_largest(points: np.ndarray, doubts: np.ndarray) -> np.ndarray:
+    """Return these points and, as often as all of them, the one with the largest doubt."""
+    return np.concatenate([points, np.tile(points[np.argmax(doubts)], (len(points), 1))])
 
 
 def _walls_near_modes(balls: BallLoop, rng: np.random.Generator) -> np.ndarray:

@@ -5,10 +5,8 @@ stable: of its points those are wrong that it contains and that are not stable.
 
 Slices are random: weak and strong hands, beyond the Nyquist frequency and next to its multiples,
 without damping, whole and fractional delays to 50 samples, stability and decay rates. Points are
-anywhere around a region, next to its outline, and next to pieces of the boundary that eigenvalues
-find at random angles, whether the region has them or not; of the last two kinds half are where
-region and eigenvalues agree least. A rival is the polygon itself. The judge is the criterion of
-Schur and Cohn in balls of python-flint.
+those of ``loops``. A rival is the polygon itself. The judge is the criterion of Schur and Cohn in
+balls of python-flint.
 """
 
 from collections.abc import Iterator
@@ -19,17 +17,14 @@ import numpy as np
 from matplotlib.path import Path as Polygon
 
 from benchmarks import record
+from benchmarks.loops import probes
 from benchmarks.record import Row
 from benchmarks.truth.balls import ExactPlant
-from benchmarks.truth.boundary import Boundary
-from jaxstab.region import RegionStatus, StableRegion, stable_region
+from jaxstab.region import RegionStatus, stable_region
 
 MEASURE = "share of points misclassified, by certified root counts"
 
-DISTANCES = 10.0 ** -np.arange(3, 10)  # from the boundary, relative to the region
 _CLASSES = ((0, 2, 5000), (2, 8, 3000), (8, 20, 2000), (20, 51, 500))  # delays, how many slices
-_POINTS = 16  # of each kind, for each slice
-_ANGLES = 500
 
 Slice = tuple[float, float, float, float]
 
@@ -103,9 +98,9 @@ def tally(place: Slice, rng: np.random.Generator) -> Tally:
     region = stable_region(gamma=gamma, delta=delta, delay=delay, radius=radius)
     seconds = perf_counter() - start
     status = RegionStatus(int(region.status))
-    balls = ExactPlant.of(gamma, delta, delay).loop(delay)
-    points = probes(region, Boundary(balls, radius), rng)
-    expected = [balls.is_stable(*point, radius) for point in points.tolist()]
+    balls = ExactPlant.of(gamma, delta, delay).loop(delay).within(radius)
+    points = probes(region, balls, rng)
+    expected = [balls.is_stable(*point) for point in points.tolist()]
     decided = np.array([one is not None for one in expected])
     truths = np.array([bool(one) for one in expected])
     answers = np.asarray(region.contains(*points.T))
@@ -120,29 +115,3 @@ def tally(place: Slice, rng: np.random.Generator) -> Tally:
         int(np.sum(claimed & (filled != truths))),
         seconds,
     )
-
-
-def probes(region: StableRegion, boundary: Boundary, rng: np.random.Generator) -> np.ndarray:
-    """Return points (n, 2) anywhere and next to the boundary, as many for each region."""
-    found = boundary.points(rng, _ANGLES)
-    outline = region.points if len(region.points) else found
-    low, high = outline.min(axis=0), outline.max(axis=0)
-    size = high - low
-    anywhere = rng.uniform(low - 0.2 * size, high + 0.2 * size, (_POINTS, 2))
-    here = rng.integers(0, len(outline) - 1, _ANGLES)
-    share = rng.choice([0.0, 0.5, 1.0], (_ANGLES, 1))
-    edges = outline[here] + share * (outline[here + 1] - outline[here])
-    others = found[rng.integers(0, len(found), _ANGLES)]
-    outside = boundary.largest_roots(edges)
-    missed = np.abs(np.asarray(region.distance(*others.T)))
-    near = np.concatenate(
-        [_half_at_the_largest(edges, outside), _half_at_the_largest(others, missed)]
-    )
-    away = rng.choice(DISTANCES, (len(near), 1)) * rng.normal(size=near.shape)
-    return np.concatenate([anywhere, near + size * away])
-
-
-def _half_at_the_largest(points: np.ndarray, doubts: np.ndarray) -> np.ndarray:
-    """Return ``_POINTS`` of these points, half of them the one with the largest doubt."""
-    half = _POINTS // 2
-    return np.concatenate([np.tile(points[np.argmax(doubts)], (half, 1)), points[:half]])

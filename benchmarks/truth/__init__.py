@@ -4,7 +4,7 @@
 - ``devices``: loops with any linear device and hand, ``plain``: in mpmath and exact fractions;
 - ``balls``: plants and verdicts in balls of python-flint, for many points of one plant;
 - ``filtered``: loops with an estimator and a filter, from difference equations;
-- ``boundary``: walls of any loop that have roots on a circle, by eigenvalues;
+- ``boundary``: walls of any loop that have roots on the circle, by eigenvalues;
 - ``random_loops``: such loops at random, and walls next to their boundary;
 - ``near_boundary``: points close to the boundary, to be judged;
 - ``moving``: loops whose delay moves;

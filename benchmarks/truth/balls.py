@@ -249,12 +249,17 @@ class BallLoop(NamedTuple):
 
     def is_stable(self, alpha: float, beta: float, radius: float = 1.0) -> bool | None:
         """Whether all roots lie inside the circle of a radius; None where the balls do not tell."""
-        p = self.polynomial(alpha, beta)
+        p = (self if radius == 1.0 else self.within(radius)).polynomial(alpha, beta)
         with flint.ctx.workprec(self.bits):
-            if radius != 1.0:
-                inverse = 1 / flint.arb(radius)
-                p = [value * inverse**k for k, value in enumerate(p)]
             return are_roots_inside(p)
+
+    def within(self, radius: float) -> "BallLoop":
+        """The loop whose roots are these over a radius."""
+        with flint.ctx.workprec(self.bits):
+            degree, inverse = self.base.degree(), 1 / flint.arb(radius)
+            powers = [inverse ** (degree - k) for k in range(degree + 1)]
+            parts = ([part[k] * power for k, power in enumerate(powers)] for part in self[:3])
+            return BallLoop(*map(flint.arb_poly, parts), self.bits)
 
 
 class InBalls(ABC):

@@ -1,4 +1,4 @@
-"""Where walls of any loop have roots on a circle, by eigenvalues alone."""
+"""Where walls of any loop have roots on the circle, by eigenvalues alone."""
 
 import numpy as np
 
@@ -11,12 +11,12 @@ _SAMPLES, _AT_ONCE = 1 << 16, 8  # of the circle, and walls in memory
 
 
 class Boundary:
-    """Walls that have roots on a circle, in float64 from the truth's numbers."""
+    """Walls that have roots on the circle, in float64 from the truth's numbers."""
 
-    def __init__(self, balls: BallLoop, radius: float = 1.0) -> None:
+    def __init__(self, balls: BallLoop) -> None:
         size = balls.base.degree() + 1
         parts = [[float(part[k].mid()) for k in range(size)] for part in balls[:3]]
-        self.parts = np.array(parts)[:, ::-1] * radius ** -np.arange(size, dtype=float)
+        self.parts = np.array(parts)[:, ::-1]
 
     def points(self, rng: np.random.Generator, angles: int = 200) -> np.ndarray:
         """Return walls (n, 2) next to which walls are stable; others where there are none.
@@ -53,7 +53,7 @@ class Boundary:
         return np.abs(turns) < 1.0
 
     def largest_roots(self, walls: np.ndarray) -> np.ndarray:
-        """Return the largest |z| / radius of walls (n, 2), by eigenvalues."""
+        """Return the largest |z| of walls (n, 2), by eigenvalues."""
         base, stiffness, damping = self.parts
         return eigenvalues.radius(base + walls[:, :1] * stiffness + walls[:, 1:] * damping)
 
