@@ -7,8 +7,8 @@ import sys
 from collections.abc import Iterable
 from functools import partial
 from importlib import import_module
+from inspect import signature
 from pathlib import Path
-from typing import Any
 
 from benchmarks import record, table
 from benchmarks.record import Row
@@ -39,13 +39,7 @@ def main() -> int:
     parser.add_argument(
         "name",
         nargs="?",
-        choices=[
-            *BENCHMARKS,
-            "jitter",
-            "mutants",
-            "plot",
-            "table",
-        ],
+        choices=[*BENCHMARKS, "jitter", "mutants", "plot", "table"],
         help="what to measure, or plot: draw records and put their tables into the pages, "
         "or table: print that table, "
         "or jitter: attack proofs for delays that move, "
@@ -74,18 +68,13 @@ def main() -> int:
         return _each_in_its_process(sys.argv[1:])
     for name in [choice.name] if choice.name else BENCHMARKS:
         keep = partial(_keep, name, choice.small, choice.out)
-        options: dict[str, Any] = {}
-        if name == "scaling" and choice.billion:
-            options = {"billion": True}
-        if name in ("answers", "exact", "loops", "polynomials", "stress") and choice.points:
-            options = {"points": choice.points}
-        if name in ("stress", "loops"):
-            options |= {"keep": keep}
+        rows_of = import_module(f"benchmarks.{name}").rows
+        given = {"billion": choice.billion, "points": choice.points, "keep": keep}
+        options = {k: v for k, v in given.items() if v and k in signature(rows_of).parameters}
         own = {"benchmark": name, "small": choice.small, "machine": record.machine()}
         path = record.path_of(own, choice.out)
         before = record.read(path) if path.exists() else None
-        rows = import_module(f"benchmarks.{name}").rows(choice.small, **options)
-        kept = keep(record.shown(rows))
+        kept = keep(record.shown(rows_of(choice.small, **options)))
         print(*record.comparison(record.read(kept), before), kept, sep="\n")
     return 0
 

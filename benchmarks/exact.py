@@ -100,19 +100,25 @@ class Tally:
             wrong=self.wrong,
         )
 
-    def timed(self, question: Callable[[], Any]) -> Any:
+    def ask(self, question: Callable[[], Any], is_open: Callable[[Any], bool]) -> Any:
+        """Return the answer, timed and counted."""
         start = process_time()
         answer = question()
         self.seconds.append(process_time() - start)
+        self.asked += 1
+        self.open += is_open(answer)
         return answer
 
-    def compared(self, difference: float, words: object) -> None:
+    def judge(self, is_right: bool, words: object) -> None:
+        self.judged += 1
+        if not is_right:
+            self.wrong += 1
+            print(f"wrong: {words}", flush=True)
+
+    def compare(self, difference: float, words: object) -> None:
         """Count two numbers that should be one."""
         self.error = max(self.error, difference)
-        self.judged += 1
-        if difference > _SAME:
-            self.wrong += 1
-            print(f"differ by {difference:.1e}: {words}", flush=True)
+        self.judge(difference <= _SAME, words)
 
 
 def _ask(
@@ -130,18 +136,15 @@ def _ask(
     triple = partial(ball_triple, loop)
     tally = tallies["walls"]
     for wall in walls:
-        verdict = tally.timed(partial(wall_verdict, triple, *wall)).verdict
-        tally.asked += 1
-        tally.open += verdict == Verdict.UNDECIDED
-        _judge(tally, truth, wall, verdict == Verdict.STABLE, verdict != Verdict.UNDECIDED)
+        found = tally.ask(partial(wall_verdict, triple, *wall), _is_undecided)
+        if truth is not None and not _is_undecided(found):
+            _judge_wall(tally, truth, wall, found.verdict == Verdict.STABLE)
     for wall in walls[:2]:
         _radius(tallies["radii"], triple, truth, wall)
     lines = {"rows": ((0.0, walls[1][1]), (1.0, 0.0)), "columns": ((walls[1][0], 0.0), (0.0, 1.0))}
     for name, (start, along) in lines.items():
         tally = tallies[name]
-        line = tally.timed(partial(stable_line, triple, start, along))
-        tally.asked += 1
-        tally.open += line.status != LineStatus.PROVED
+        line = tally.ask(partial(stable_line, triple, start, along), _is_not_proved)
         if truth is not None:
             _judge_line(tally, truth, line, start, along)
     if loop.delay_samples <= _LATEST:
@@ -150,30 +153,30 @@ def _ask(
             _margins(tallies["margins"], loop, walls)
 
 
-def _judge(tally: Tally, truth: Loop | None, wall: Any, is_stable: bool, is_said: bool) -> None:
-    if truth is None or not is_said:
-        return
+def _is_undecided(answer: Any) -> bool:
+    return answer.verdict == Verdict.UNDECIDED
+
+
+def _is_not_proved(line: StableLine) -> bool:
+    return line.status != LineStatus.PROVED
+
+
+def _judge_wall(tally: Tally, truth: Loop, wall: Any, is_stable: bool) -> None:
     expected = truth.is_stable(*wall)
     if expected is not None:
-        tally.judged += 1
-        if expected != is_stable:
-            tally.wrong += 1
-            print(f"wrong: {wall} on {truth.loop} is stable: {expected}", flush=True)
+        tally.judge(expected == is_stable, f"{wall} on {truth.loop} is stable: {expected}")
 
 
 def _radius(tally: Tally, triple: Any, truth: Loop | None, wall: list[float]) -> None:
-    radius = tally.timed(partial(spectral_radius, triple, *wall))
-    tally.asked += 1
-    tally.open += not isfinite(radius.error)
+    question = partial(spectral_radius, triple, *wall)
+    radius = tally.ask(question, lambda found: not isfinite(found.error))
     if truth is not None and isfinite(radius.error):
         try:
             exact = true_radius(truth.polynomial(*wall))
         except ArithmeticError:  # roots that coincide
             return
-        tally.judged += 1
-        if abs(radius.value - exact) > radius.error:
-            tally.wrong += 1
-            print(f"radius {radius} of {wall} on {truth.loop} is {exact}", flush=True)
+        words = f"radius {radius} of {wall} on {truth.loop} is {exact}"
+        tally.judge(abs(radius.value - exact) <= radius.error, words)
 
 
 def _judge_line(
@@ -184,7 +187,7 @@ def _judge_line(
     along: tuple[float, float],
 ) -> None:
     """Judge both sides of all crossings, and the middles of gaps."""
-    if line.status != LineStatus.PROVED or line.drift:
+    if _is_not_proved(line) or line.drift:
         return
     known = [end.value for end in line.crossings]
     tried = [(low + high) / 2.0 for low, high in pairwise(known)]
@@ -194,7 +197,7 @@ def _judge_line(
     for t in tried:
         if t not in known and abs(t) < line.horizon:
             wall = [a + t * b for a, b in zip(start, along, strict=True)]
-            _judge(tally, truth, wall, line.holding(t) is not None, is_said=True)
+            _judge_wall(tally, truth, wall, line.holding(t) is not None)
 
 
 def _limits(tally: Tally, loop: HapticLoop) -> None:
@@ -206,9 +209,7 @@ def _limits(tally: Tally, loop: HapticLoop) -> None:
     triple, ends = partial(ball_triple, loop), []
     for aside in (1.0, 1.0 - 1e-9, 1.0 + 1e-9):  # at a corner the row itself may be empty
         row = partial(stable_line, triple, (0.0, damping * aside), (1.0, 0.0))
-        line = tally.timed(row)
-        tally.asked += 1
-        tally.open += line.status != LineStatus.PROVED
+        line = tally.ask(row, _is_not_proved)
         ends += [abs(interval.high.value / stiffness - 1.0) for interval in line.intervals]
     if not ends:  # a corner that is thinner than that: columns beside it
         beside = [
@@ -216,7 +217,7 @@ def _limits(tally: Tally, loop: HapticLoop) -> None:
             for side in (-1e-9, 1e-9)
         ]
         ends = [0.0] if beside[0] and not beside[1] else []
-    tally.compared(min(ends, default=inf), (loop, stiffness, damping))
+    tally.compare(min(ends, default=inf), (loop, stiffness, damping))
 
 
 def _margins(tally: Tally, loop: HapticLoop, walls: list[list[float]]) -> None:
@@ -224,15 +225,13 @@ def _margins(tally: Tally, loop: HapticLoop, walls: list[list[float]]) -> None:
     wall = next((w for w in walls if wall_verdict(triple, *w).verdict == Verdict.STABLE), None)
     if wall is None or wall[0] <= 0.0:
         return
-    rival = loop.margins(*wall)
-    line = tally.timed(partial(stable_line, triple, (0.0, wall[1]), (1.0, 0.0)))
+    proved = float(loop.margins(*wall).stiffness_gain)
+    row = partial(stable_line, triple, (0.0, wall[1]), (1.0, 0.0))
+    line = tally.ask(row, lambda line: line.holding(wall[0]) is None)
     interval = line.holding(wall[0])
-    tally.asked += 1
-    if interval is None or not isfinite(float(rival.stiffness_gain)):
-        tally.open += interval is None
-        return
-    gain, proved = interval.high.value / wall[0], float(rival.stiffness_gain)
-    tally.compared(max(proved / gain - 1.0, 0.0), (loop, wall))  # a lower bound
+    if interval is not None and isfinite(proved):
+        gain = interval.high.value / wall[0]
+        tally.compare(max(proved / gain - 1.0, 0.0), (loop, wall))  # a lower bound
 
 
 def _times(samples: int, delay: int) -> Iterator[Row]:
@@ -255,6 +254,6 @@ def _times(samples: int, delay: int) -> Iterator[Row]:
         question()
         tally = Tally()
         while len(tally.seconds) < 3 or sum(tally.seconds) < 0.2:
-            tally.timed(question)
+            tally.ask(question, lambda _: False)
         measure = "none: times alone"
         yield record.row(f"degree {degree}", name, tally.seconds, 0.0, measure, delay=float(delay))

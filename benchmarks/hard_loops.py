@@ -71,7 +71,7 @@ def _gains(
         alpha, beta = _multiple_root_gains(rng, gamma, delta, delay, walls)
     else:
         with np.errstate(all="ignore"):
-            alpha, beta, _ = points_near_the_boundary(rng, gamma, delta, delay, walls)
+            alpha, beta = points_near_the_boundary(rng, gamma, delta, delay, walls)
     usable = (np.abs(alpha) <= _MOST[0]) & (np.abs(beta) <= _MOST[0])
     return np.where(usable, alpha, 0.1), np.where(usable, beta, 0.3)
 

@@ -22,18 +22,7 @@ PACKAGES = (
     *("jax", "jaxlib", "numpy", "scipy", "optimistix", "contourpy", "control", "h5py"),
     *("python-flint", "mpmath"),
 )
-ROW_COLUMNS = {
-    "section": str,  # rows of one section are rivals
-    "method": str,
-    "delay": (int, float),
-    "points": int,  # how many points one call answers or finds
-    "seconds": float,  # median of the repeats of one call
-    "seconds_quartiles": list,
-    "repeats": int,
-    "error": (int, float),
-    "error_measure": str,  # in words
-}
-"""Columns of every row; a benchmark adds columns of its own, which are numbers, texts or null."""
+_OF_ALL = 9  # columns that every row has; those of a benchmark's own come after
 
 
 def row(
@@ -47,7 +36,18 @@ def row(
     points: int = 1,
     **own: Any,
 ) -> Row:
-    """Return a row: ``seconds`` of all repeats, and columns of the benchmark's own."""
+    """Return a row; rows of one section are rivals.
+
+    Args:
+        section: a group of rows.
+        method: who answers.
+        seconds: of each repeat of one call.
+        error: as ``error_measure`` says in words.
+        error_measure: these words.
+        delay: of the loop, in samples.
+        points: how many points one call answers or finds.
+        own: columns of the benchmark's own, which are numbers, texts or null.
+    """
     low, middle, high = np.quantile(seconds, (0.25, 0.5, 0.75)).tolist()
     return {
         "section": section,
@@ -134,7 +134,7 @@ def _key(row: Row) -> tuple[Any, ...]:
 
 def line(row: Row) -> str:
     """Return a row in words: time and error side by side."""
-    own = (f"{k}={_short(v)}" for k, v in row.items() if k not in ROW_COLUMNS)
+    own = (f"{k}={_short(v)}" for k, v in list(row.items())[_OF_ALL:])
     return (
         f"{row['section']:10} {row['method']:26} delay {row['delay']:<4g} "
         f"{row['points']:>10} points  {row['seconds'] * 1e3:12.4g} ms  "

@@ -151,6 +151,7 @@ def _rows(group: str, cases: list[Case], budget: float, batch: int, *, runs: int
     judged = interleaved(verdicts, budget=budget, least=1)
     for name, one in asked.items():
         errors = [_error(*each) for each in zip(cases, truths, ends[name].answer, strict=True)]
+        fresh = [latency.run(one.process).seconds for _ in range(runs) if one.process]
         yield ends[name].row(
             group,
             name,
@@ -163,7 +164,7 @@ def _rows(group: str, cases: list[Case], budget: float, batch: int, *, runs: int
             largest_error_found=max((e for e in errors if e <= _MISSED), default=1.0),
             lines=one.lines,
             **(_verdicts(one, judged[name], stable) if one.verdicts else {}),
-            **(_first(one.process, runs) if one.process else {}),
+            **({"first_seconds": median(fresh)} if fresh else {}),
         )
 
 
@@ -185,10 +186,6 @@ def _verdicts(one: Asked, timing: Timing, stable: np.ndarray) -> Row:
         "wrong": int(np.sum(~right & ~is_open)),
         "open": int(np.sum(is_open)),
     }
-
-
-def _first(words: tuple[str, ...], runs: int) -> Row:
-    return {"first_seconds": median(latency.run(words).seconds for _ in range(runs))}
 
 
 def _tool(name: str, tool: Tool, is_first: bool, cases: list[Case], walls: Walls) -> Asked:

@@ -29,11 +29,8 @@ Axes = tuple[np.ndarray, np.ndarray]  # alpha (m, 1) and beta (n,)
 
 def rows(small: bool, billion: bool = False) -> Iterator[Row]:
     for power in range(4, 6 if small else 10 if billion else 9):
-        if small:
-            yield streamed(10**power, 10)
-            continue
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as executor:
-            yield executor.submit(streamed, 10**power, 200).result()
+            yield executor.submit(streamed, 10**power, 10 if small else 200).result()
 
 
 def streamed(count: int, judged: int) -> Row:

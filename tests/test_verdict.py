@@ -45,7 +45,7 @@ def test_no_verdict_is_wrong_however_close_to_the_boundary(
 ) -> None:
     for gamma, delta in random_plants(rng, POINTS[delay < 10] // PER_PLANT):
         plant = ExactPlant.of(gamma, delta, delay)
-        alpha, beta, _ = points_near_the_boundary(rng, gamma, delta, delay, PER_PLANT)
+        alpha, beta = points_near_the_boundary(rng, gamma, delta, delay, PER_PLANT)
         quick = np.asarray(verdict(alpha, beta, gamma=gamma, delta=delta, delay=delay))
         exact = np.asarray(
             verdict(alpha, beta, gamma=gamma, delta=delta, delay=delay, resolve="exact")

@@ -39,12 +39,9 @@ class Mechanism:
     hands: Sequence[tuple[float, float, float, tuple[float, float] | None]] = ()
     actuators: Sequence[float] = ()
 
+    @mp.workdps(WORKING)
     def system(self) -> System:
         """The equations of motion, states first of modes, then of arms, then of actuators."""
-        with mp.workdps(WORKING):
-            return self._system()
-
-    def _system(self) -> System:
         arms = [hand for hand in self.hands if hand[3] is not None]
         count = 2 * (len(self.modes) + len(arms)) + len(self.actuators)
         force = 2 * (len(self.modes) + len(arms))  # the first actuator's, the last in the chain

@@ -11,8 +11,8 @@ import numpy as np
 
 import jaxstab
 from benchmarks import eigenvalues
-from benchmarks.truth import loop as truth
-from benchmarks.truth.balls import ExactPlant, code_of
+from benchmarks.truth.balls import code_of, isolated_roots
+from benchmarks.truth.loop import plant_in_balls
 from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
 
@@ -74,13 +74,7 @@ class Judgement(NamedTuple):
 
 
 def truth_of(loops: Loops) -> Truth:
-    rows = []
-    for gamma, delta, alphas, betas in zip(*loops[:4], strict=True):
-        plants = _Plants(float(gamma), float(delta), loops.delay)
-        rows += [
-            _true(plants, *gains) for gains in zip(alphas.tolist(), betas.tolist(), strict=True)
-        ]
-    codes, *floats = zip(*rows, strict=True)
+    codes, *floats = zip(*(_true(*point) for point in loops.points.tolist()), strict=True)
     return Truth(np.array(codes), *(np.array(column) for column in floats))
 
 
@@ -127,20 +121,10 @@ def judged(answer: Answer, truth: Truth) -> Judgement:
     return Judgement(wrong, undecided, ulps, share)
 
 
-class _Plants(dict[int, ExactPlant]):
-    """One plant in balls of several precisions, each computed when it is asked for."""
-
-    def __init__(self, *plant: float) -> None:
-        super().__init__()
-        self.plant = plant
-
-    def __missing__(self, bits: int) -> ExactPlant:
-        self[bits] = ExactPlant.of(*self.plant, bits)
-        return self[bits]
-
-
-def _true(plants: _Plants, alpha: float, beta: float) -> tuple[int, float, float, float]:
-    moduli = _moduli(plants, alpha, beta)
+def _true(
+    alpha: float, beta: float, gamma: float, delta: float, delay: float
+) -> tuple[int, float, float, float]:
+    moduli = _moduli(alpha, beta, gamma, delta, delay)
     if not moduli:
         return Verdict.UNDECIDED, np.nan, np.nan, np.nan
     largest = _largest(moduli)
@@ -151,25 +135,27 @@ def _true(plants: _Plants, alpha: float, beta: float) -> tuple[int, float, float
             rest = float((largest - radius).mid())
         distance = min(abs(float((modulus - 1).mid())) for modulus in moduli)
     code = code_of(moduli)
-    if code == Verdict.UNDECIDED and alpha != -plants.plant[0]:
+    if code == Verdict.UNDECIDED and alpha != -gamma:
         distance = np.nan  # by too few digits: whether a root is on the circle is not known
     return code, radius, rest, distance
 
 
-def _moduli(plants: _Plants, alpha: float, beta: float) -> list[flint.arb]:
+def _moduli(alpha: float, beta: float, gamma: float, delta: float, delay: float) -> list[flint.arb]:
     """The moduli of all roots in balls, each on one side of the circle if 1600 digits can tell."""
     moduli: list[flint.arb] = []
     for bits, plant_bits in _BITS.items():
-        coefficients = plants[plant_bits].polynomial(alpha, beta, plants.plant[2])
+        coefficients = plant_in_balls(gamma, delta, delay, plant_bits).polynomial(
+            alpha, beta, delay
+        )
         size = 1 + max(abs(float(coefficient)) for coefficient in coefficients)  # of all roots
         with flint.ctx.workprec(bits):
             tolerance = size * flint.arb(2) ** -(5 * bits // 8)
-            balls = truth.isolated_roots(coefficients, tolerance)
+            balls = isolated_roots(coefficients, tolerance)
             if balls is None:
                 continue
             moduli = [abs(ball) for ball in balls]
             on_circle = sum(modulus.overlaps(flint.arb(1)) for modulus in moduli)
-            are_told_apart = on_circle <= (alpha == -plants.plant[0])  # p(1) = (alpha + gamma) N(1)
+            are_told_apart = on_circle <= (alpha == -gamma)  # p(1) = (alpha + gamma) N(1)
             if are_told_apart and _largest(moduli).rel_accuracy_bits() >= _DIGITS:
                 break
     return moduli

@@ -63,7 +63,7 @@ def certain(compute: Callable[[int], Iterable[flint.arb]], digits: int) -> list[
     raise NotCertain(f"a value of {values} is too close to 0")
 
 
-_plant = lru_cache(maxsize=4096)(ExactPlant.of)  # many walls are asked of one plant
+plant_in_balls = lru_cache(maxsize=4096)(ExactPlant.of)  # many walls are asked of one plant
 
 
 def motion(gamma: Number, delta: Number, time: Number) -> list[mpf]:
@@ -76,7 +76,7 @@ def plant(gamma: Number, delta: Number, fraction: Number = 0, digits: int = SAFE
     has_difference = delta != 0 or fraction != 0
 
     def sampled(bits: int) -> list[flint.arb]:
-        p = _plant(gamma, delta, fraction, bits)
+        p = plant_in_balls(gamma, delta, fraction, bits)
         difference = p.n2 - p.n1 + p.n0 if has_difference else flint.arb(0)
         return [*p[:5], p.n2 + p.n1 + p.n0, difference]
 
@@ -92,7 +92,7 @@ def polynomial(
     """p(z), monic, highest power first: degree 3 + delay, or 4 + floor(delay) for a fraction."""
 
     def expand(bits: int) -> list[flint.arb]:
-        return _plant(gamma, delta, delay, bits).polynomial(alpha, beta, delay)
+        return plant_in_balls(gamma, delta, delay, bits).polynomial(alpha, beta, delay)
 
     return certain(expand, SAFE_DIGITS)
 
@@ -124,7 +124,7 @@ def transcendental_roots(
     """The roots, by more and more digits."""
     for bits in BITS:
         with flint.ctx.workprec(bits):
-            coefficients = _plant(gamma, delta, delay, bits).polynomial(alpha, beta, delay)
+            coefficients = plant_in_balls(gamma, delta, delay, bits).polynomial(alpha, beta, delay)
             balls = isolated_roots(coefficients, flint.arb(10) ** -(SAFE_DIGITS + 10))
             if balls and all(b == 0 or b.rel_accuracy_bits() > SAFE_DIGITS * 3.3 for b in balls):
                 return [on_real_axis(ball, balls) for ball in balls]
@@ -197,7 +197,7 @@ def boundary_point(
 
     def solve(bits: int) -> tuple[flint.arb, flint.arb]:
         z = as_arb(radius) * flint.acb(0, as_arb(theta)).exp()
-        return _plant(gamma, delta, delay, bits).loop(delay).wall_with_root(z)
+        return plant_in_balls(gamma, delta, delay, bits).loop(delay).wall_with_root(z)
 
     alpha, beta = certain(solve, SAFE_DIGITS)
     return alpha, beta

@@ -1,7 +1,5 @@
 """Points next to the boundary of random plants."""
 
-from typing import NamedTuple
-
 import flint
 import numpy as np
 
@@ -10,16 +8,10 @@ from benchmarks.truth.balls import ExactPlant
 from benchmarks.truth.boundary import Boundary
 
 
-class Points(NamedTuple):
-    alpha: np.ndarray
-    beta: np.ndarray
-    distance: np.ndarray  # from the boundary, relative to the gains: about, and 0 on it
-
-
 def points_near_the_boundary(
     rng: np.random.Generator, gamma: float, delta: float, delay: float, count: int
-) -> Points:
-    """Curve and both lines of the boundary, most points within 1e-6 ... 1e-16 of them."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Alpha and beta on curve and lines of the boundary, most within 1e-6 ... 1e-16 of them."""
     whole, _ = truth.split_delay(delay)
     plant = ExactPlant.of(gamma, delta, delay)
     low = np.pi * 10 ** rng.uniform(-3, 0, count) / (1 + whole)
@@ -38,7 +30,7 @@ def points_near_the_boundary(
         rng.random(count) < 0.8, rng.uniform(-16, -6, count), rng.uniform(-6, 0, count)
     )
     sides = rng.choice([-1, 0, 1], (2, count)) * distance
-    return Points(alpha * (1 + sides[0]), beta * (1 + sides[1]), np.abs(sides).max(axis=0))
+    return alpha * (1 + sides[0]), beta * (1 + sides[1])
 
 
 def random_plants(rng: np.random.Generator, count: int) -> list[tuple[float, float]]:

@@ -5,6 +5,7 @@ its filters are difference equations in exact fractions (``filtered``)."""
 
 from collections.abc import Sequence
 from fractions import Fraction
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -22,13 +23,18 @@ _UNKNOWN = mpf(10) ** -60  # next to 1, a reflection coefficient tells nothing
 Falling = list[mpf]  # coefficients, highest power first
 
 
-def is_stable(falling: Sequence[Fraction]) -> bool | None:
-    """Whether all roots lie inside the circle (Jury 1964), exactly; None if the degree is less."""
+def is_stable(falling: Sequence[Fraction | mpf], unknown: Fraction | mpf = 0) -> bool | None:
+    """Whether all roots lie inside the circle (Jury 1964), exactly where all numbers are fractions.
+
+    None if the degree is less, or where a decision is closer than what is unknown.
+    """
     rest = list(falling)
     if rest[0] == 0:
         return None
     while len(rest) > 1:
         k = rest[-1] / rest[0]
+        if abs(abs(k) - 1) < unknown:
+            return None
         if abs(k) >= 1:
             return False
         rest = [a - k * b for a, b in zip(rest[:-1], rest[:0:-1], strict=True)]
@@ -89,33 +95,24 @@ class Loop(NamedTuple):
 def is_stable_in_digits(falling: Falling) -> bool | None:
     """The same as ``is_stable`` in 120 digits; None where a decision is closer than 1e-60."""
     with mp.workdps(DIGITS):
-        rest = falling
-        while len(rest) > 1:
-            k = rest[-1] / rest[0]
-            if abs(abs(k) - 1) < _UNKNOWN:
-                return None
-            if abs(k) > 1:
-                return False
-            rest = [a - k * b for a, b in zip(rest[:-1], rest[:0:-1], strict=True)]
-        return True
+        return is_stable(falling, _UNKNOWN)
 
 
 def radius(falling: Falling) -> mpf:
     """The largest modulus of a root, by Aberth's iteration from eigenvalues, in 60 digits."""
     with mp.workdps(60):
-        roots = _refined(falling, np.roots(np.array([complex(c) for c in falling])))
-        return max(map(abs, roots))
+        return max(map(abs, _roots(falling)))
 
 
 def outside(falling: Falling) -> int:
     """The number of roots outside the circle, by the roots themselves."""
     with mp.workdps(60):
-        roots = _refined(falling, np.roots(np.array([complex(c) for c in falling])))
-        return sum(abs(root) > 1 for root in roots)
+        return sum(abs(root) > 1 for root in _roots(falling))
 
 
-def _refined(falling: Falling, guesses: np.ndarray) -> list[mp.mpc]:
+def _roots(falling: Falling) -> list[mp.mpc]:
     """Roots by the simultaneous iteration of Aberth (1973), from guesses in float64."""
+    guesses = np.roots(np.array([complex(c) for c in falling]))
     roots = [mp.mpc(complex(z)) for z in guesses]
     degree = len(falling) - 1
     slopes = [c * (degree - k) for k, c in enumerate(falling[:-1])]
@@ -134,14 +131,7 @@ def _refined(falling: Falling, guesses: np.ndarray) -> list[mp.mpc]:
 
 def product(*factors: Falling) -> Falling:
     """The product of polynomials."""
-    whole = [mpf(1)]
-    for factor in factors:
-        sums = [mpf(0)] * (len(whole) + len(factor) - 1)
-        for i, a in enumerate(whole):
-            for j, b in enumerate(factor):
-                sums[i + j] += a * b
-        whole = sums
-    return whole
+    return list(reduce(np.convolve, (np.array(factor, dtype=object) for factor in factors)))
 
 
 def _falling(polynomial: fmpq_poly) -> Falling:

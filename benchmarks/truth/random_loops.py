@@ -234,18 +234,11 @@ def _factor(rng: np.random.Generator, period: float) -> Factor:
     cutoff = float(10.0 ** rng.uniform(-3.0, -0.35))
     order = int(rng.choice([1, 2, rng.integers(1, 9)]))
     kind = rng.integers(0, 4)
-    if kind == 0:
-        return (
-            Filter.low_pass(cutoff / period, order=order),
-            filtered.low_pass(cutoff, order=order),
-            order,
-        )
-    if kind == 1:
-        return (
-            Filter.butterworth(cutoff / period, order=order),
-            filtered.butterworth(cutoff, order=order),
-            order,
-        )
+    if kind <= 1:
+        given, true = (
+            (Filter.low_pass, filtered.low_pass), (Filter.butterworth, filtered.butterworth),
+        )[kind]  # fmt: skip
+        return given(cutoff / period, order=order), true(cutoff, order=order), order
     if kind == 2:
         samples = int(rng.integers(2, 9))
         return Filter.average(samples=samples), filtered.average(samples), samples
