@@ -5,7 +5,6 @@ eq. (9) as printed, poles are those of companion matrices, and searches are grid
 """
 
 import sys
-from collections.abc import Callable
 
 import numpy as np
 
@@ -128,13 +127,5 @@ def robust_region() -> list[float]:
     return [float(alpha[stable.any(axis=1)].max())]
 
 
-QUESTIONS: dict[str, Callable[[], list[float]]] = {
-    each.__name__: each
-    for each in (
-        verdict, spectral_radius, outline, picture, margins, best_gains,
-        robust_region,
-    )
-}  # fmt: skip
-
 if __name__ == "__main__":
-    print(*QUESTIONS[sys.argv[1]]())
+    print(*globals()[sys.argv[1]]())

@@ -116,10 +116,8 @@ def _places(node: ast.AST) -> Iterator[tuple[type, Place, Place]]:
     match node:
         case ast.Import() | ast.ImportFrom():
             return
-        case ast.BinOp():
-            yield ast.operator, _end(node.left), _begin(node.right)
-        case ast.AugAssign():
-            yield ast.operator, _end(node.target), _begin(node.value)
+        case ast.BinOp(left=left, right=right) | ast.AugAssign(target=left, value=right):
+            yield ast.operator, _end(left), _begin(right)
         case ast.UnaryOp():
             yield ast.operator, _begin(node), _begin(node.operand)
         case ast.Compare():

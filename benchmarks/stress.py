@@ -90,9 +90,9 @@ class Tally:
         self.unjudged += int(np.isnan(truth.distance).sum())
         if found.wrong.any():
             self.worst["wrong"] = points[int(np.argmax(found.wrong))].tolist()
-        self._keep("error", found.ulps, points)
-        self._keep("share_of_bound", found.share, points)
-        self._keep("band", np.where(found.undecided, truth.distance, 0.0), points)
+        self._keep_largest("error", found.ulps, points)
+        self._keep_largest("share_of_bound", found.share, points)
+        self._keep_largest("band", np.where(found.undecided, truth.distance, 0.0), points)
 
     def merge(self, other: "Tally") -> None:
         for name in ("points", "wrong", "undecided", "unjudged"):
@@ -100,16 +100,17 @@ class Tally:
         if "wrong" in other.worst:
             self.worst.setdefault("wrong", other.worst["wrong"])
         for name in ("error", "share_of_bound", "band"):
-            if getattr(other, name) > getattr(self, name):
-                setattr(self, name, getattr(other, name))
-                self.worst[name] = other.worst[name]
+            self._keep(name, getattr(other, name), other.worst.get(name, []))
 
-    def _keep(self, name: str, values: np.ndarray, points: np.ndarray) -> None:
+    def _keep_largest(self, name: str, values: np.ndarray, points: np.ndarray) -> None:
         known = np.where(np.isnan(values), 0.0, np.minimum(values, 1e300))
         worst = int(np.argmax(known))
-        if known[worst] > getattr(self, name):
-            setattr(self, name, float(known[worst]))
-            self.worst[name] = points[worst].tolist()
+        self._keep(name, float(known[worst]), points[worst].tolist())
+
+    def _keep(self, name: str, value: float, point: list[float]) -> None:
+        if value > getattr(self, name):
+            setattr(self, name, value)
+            self.worst[name] = point
 
 
 Key = tuple[str, float, str]  # an axis, the delay or the decade, the method

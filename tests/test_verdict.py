@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from mpmath import mp
 
+from benchmarks.hard_loops import points_near_the_boundary, random_plants
 from benchmarks.truth import loop as truth
 from benchmarks.truth.balls import ExactPlant, moduli
-from benchmarks.truth.near_boundary import points_near_the_boundary, random_plants
 from jaxstab import (
     Device,
     Filter,

@@ -6,7 +6,6 @@
 - ``filtered``: loops with an estimator and a filter, from difference equations;
 - ``boundary``: walls of any loop that have roots on the circle, by eigenvalues;
 - ``random_loops``: such loops at random, and walls next to their boundary;
-- ``near_boundary``: points close to the boundary, to be judged;
 - ``moving``: loops whose delay moves;
 - ``judge``: what each method says of many loops, against the truth.
 """
