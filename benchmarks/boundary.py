@@ -111,8 +111,17 @@ def rows(small: bool) -> Iterator[Row]:
 def _outline_rows(exact: Judge, small: bool) -> Iterator[Row]:
     """N from coarse to fine for each way to find the boundary."""
     family = LoopFamily(GAMMA, DELTA, exact.delay)
+    ends = exact.box()
     for count in (_OUTLINE_POINTS,) if small else (50, 100, 200, 400, 800, 1600, 2000):
-        calls = _grids(exact, family, count) | {
+        alpha, beta = (np.linspace(*pair, count) for pair in ends)
+        halvings = max(round(np.log2(count / _COARSE)), 0)
+        squares = -(-count >> halvings), halvings
+        calls: dict[str, Call] = {
+            "eigenvalue grid": partial(eigenvalue_grid, family, alpha, beta),
+            "verdict grid": partial(verdict_grid, alpha, beta, exact.delay),
+            "n-cube bisection": partial(
+                bisected, lambda *walls: family.radius(*walls) - 1.0, *ends, *squares
+            ),
             "traced": partial(_traced, exact, max(1.0 / count, _FINEST_TRACE)),
             "closed form": partial(_stable_region, exact.delay, 0.35 / count**2),
         }
@@ -120,27 +129,9 @@ def _outline_rows(exact: Judge, small: bool) -> Iterator[Row]:
         for method, timing in timings.items():
             found = timing.answer
             if not isinstance(found, Outline):
-                found = _outline_of(np.asarray(found))
+                found = Outline(found, np.stack([found[:-1], found[1:]], axis=1))
             gap = exact.gap(found.segments, 40 if small else 400)
             yield _row("outline", method, timing, exact, found.points, small, n=count, gap=gap)
-
-
-def _grids(exact: Judge, family: LoopFamily, count: int) -> dict[str, Call]:
-    alpha_ends, beta_ends = exact.box()
-    alpha, beta = np.linspace(*alpha_ends, count), np.linspace(*beta_ends, count)
-    halvings = max(round(np.log2(count / _COARSE)), 0)
-    return {
-        "eigenvalue grid": partial(eigenvalue_grid, family, alpha, beta),
-        "verdict grid": partial(verdict_grid, alpha, beta, exact.delay),
-        "n-cube bisection": partial(
-            bisected,
-            lambda *walls: family.radius(*walls) - 1.0,
-            alpha_ends,
-            beta_ends,
-            -(-count >> halvings),
-            halvings,
-        ),
-    }
 
 
 def verdict_grid(alpha: np.ndarray, beta: np.ndarray, delay: float) -> Outline:
@@ -163,10 +154,6 @@ def _traced(exact: Judge, resolution: float) -> Outline:
     joined = trace.edge[1:] & trace.edge[:-1] & (np.diff(trace.piece) == 0)
     segments = np.stack([trace.points[:-1], trace.points[1:]], axis=1)[joined]
     return Outline(trace.points[trace.edge], segments)
-
-
-def _outline_of(vertices: np.ndarray) -> Outline:
-    return Outline(vertices, np.stack([vertices[:-1], vertices[1:]], axis=1))
 
 
 def _row(

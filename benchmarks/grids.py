@@ -4,18 +4,13 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import contourpy
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 import jaxstab
 from benchmarks import eigenvalues
 from jaxstab.model import by_name
 
-LAPACK_WORK = 2e4  # points times degree squared of a timed call: as short as those of jaxstab
 _BATCH = 1 << 15  # matrices per call of LAPACK, so that memory stays bounded
-
-jax_eigenvalues = jax.jit(jnp.linalg.eigvals)
 
 Function = Callable[[np.ndarray, np.ndarray], np.ndarray]
 

@@ -31,7 +31,7 @@ MEASURE = "error of what the process prints; of commands the share that failed"
 MEMORY_TARGET = 500.0  # MiB
 
 Answer = list[float]
-Judge = Callable[[Answer], float]
+Exact = Callable[[Answer], mpf | float]  # what the first number of an answer should be
 
 _RUNS = 5
 _LOOP = (GAMMA, DELTA, float(DELAY))
@@ -54,12 +54,12 @@ _WALL = f"{ALPHA * MASS / SAMPLE_TIME**2!r}, {BETA * MASS / SAMPLE_TIME!r}"
 
 @dataclass(frozen=True)
 class Question:
-    """A question: what a fresh Python is given to answer it, its judge and its rival."""
+    """A question: what a fresh Python is given to answer it, the truth and the rival."""
 
     name: str
     target: float  # s of CPU
     words: tuple[str, ...]
-    judge: Judge = lambda _: 0.0
+    exact: Exact | None = None
     rival: str = ""
 
 
@@ -103,30 +103,30 @@ def _questions() -> list[Question]:
             "import jaxstab\n"
             f"atlas = jaxstab.open_atlas({str(golden)!r})\n"
             "print(int(atlas.query(0.05, 0.3, gamma=0.0004, delta=0.01, delay=1.1).verdict))"
-        ), lambda answer: float(answer[0] not in (1.0, 2.0))),
+        ), lambda _: _code(0.05, 0.3, 0.0004, 0.01, 1.1)),
         Question("verdict", 1.2, _python(f"print(int(jaxstab.verdict({five})))"),
-                 _judge_verdict, "verdict"),
+                 lambda _: _code(ALPHA, BETA, *_LOOP), "verdict"),
         Question("spectral_radius", 1.5, _python(
             f"print(float(jaxstab.spectral_radius({five}).value))"
-        ), _judge_radius, "spectral_radius"),
+        ), _radius, "spectral_radius"),
         Question("stable_region", 2.0, _python(
             f"print(float(jaxstab.stable_region({slice_}).max_alpha[0]))"
-        ), _judge_largest, "outline"),
+        ), _largest, "outline"),
         Question("margins", 2.0, _python(
             f"print(loop.alpha(float(loop.margins({_WALL}).stiffness[1])))"
-        ), _judge_margin, "margins"),
+        ), _end_of_margin, "margins"),
         Question("wall_limits", 2.0, _python(
             "print(loop.alpha(float(loop.limits().stiffness)))"
-        ), _judge_largest, "outline"),
+        ), _largest, "outline"),
         Question("optimal_gains", 3.0, _python(
             "best = loop.tune('radius')\n"
             "print(best.radius, loop.alpha(best.stiffness), loop.beta(best.damping))"
-        ), _judge_best, "best_gains"),
+        ), _radius_of_gains, "best_gains"),
         Question("robust_region", 4.0, _python(
             f"slice_ = dict(gamma=(0.0, {GAMMA}), delta=(0.0, 0.015), delay={float(DELAY)})\n"
             "region = jaxstab.robust_region(**slice_)\n"
             "print(float(region.max_alpha[0]))"
-        ), _judge_robust, "robust_region"),
+        ), _largest_of_all, "robust_region"),
         Question("README's first snippet", 3.0, ("-c", snippet)),
         Question("jaxstab limits", 2.5, _command("limits", *_SCENE)),
         Question("jaxstab check, a range of hands", 4.0, _command(
@@ -205,42 +205,41 @@ def _row(question: Question, method: str, runs: list[Run]) -> Row:
 def _error_of(question: Question, run: Run) -> float:
     if run.failed:
         return 1.0
-    if question.name.startswith(("jaxstab", "README")):
+    if question.exact is None:
         return 0.0
-    error = question.judge([float(word) for word in run.printed.split()])
+    answer = [float(word) for word in run.printed.split()]
+    error = float(abs(mpf(answer[0]) / question.exact(answer) - 1))
     return error if error < 1.0 else 1.0  # NaN, too
 
 
-# ------------------------------------------------------------------------------------ the judges
+# ------------------------------------------------------------------------------------- the truths
 
 
-def _judge_verdict(answer: Answer) -> float:
-    is_stable = truth.unstable_count(ALPHA, BETA, *_LOOP) == 0
-    return float((answer[0] == 1.0) != is_stable)
+def _code(*point: float) -> int:
+    return 1 if truth.unstable_count(*point) == 0 else 2
 
 
-def _judge_radius(answer: Answer) -> float:
-    return _difference(answer[0], truth.spectral_radius(ALPHA, BETA, *_LOOP)[0])
+def _radius(_: Answer) -> mpf:
+    return truth.spectral_radius(ALPHA, BETA, *_LOOP)[0]
 
 
-def _judge_largest(answer: Answer) -> float:
-    return _difference(answer[0], _largest_alpha(GAMMA, DELTA))
+def _largest(_: Answer) -> mpf:
+    return _largest_alpha(GAMMA, DELTA)
 
 
-def _judge_margin(answer: Answer) -> float:
+def _end_of_margin(_: Answer) -> mpf:
     angle = mp.findroot(lambda t: truth.boundary_point(t, *_LOOP)[1] - mpf(BETA), mpf("0.35"))
-    return _difference(answer[0], truth.boundary_point(angle, *_LOOP)[0])
+    return truth.boundary_point(angle, *_LOOP)[0]
 
 
-def _judge_best(answer: Answer) -> float:
+def _radius_of_gains(answer: Answer) -> mpf:
     """The radius that is printed must be that of the gains that are printed."""
-    return _difference(answer[0], truth.spectral_radius(*answer[1:], *_LOOP)[0])
+    return truth.spectral_radius(*answer[1:], *_LOOP)[0]
 
 
-def _judge_robust(answer: Answer) -> float:
+def _largest_of_all(_: Answer) -> mpf:
     """No wall is stable for all hands beyond the least of the largest alphas of some of them."""
-    least = min(_largest_alpha(gamma, delta) for gamma in (0.0, GAMMA) for delta in (0.0, 0.015))
-    return _difference(answer[0], least)
+    return min(_largest_alpha(gamma, delta) for gamma in (0.0, GAMMA) for delta in (0.0, 0.015))
 
 
 @cache
@@ -252,7 +251,3 @@ def _largest_alpha(gamma: float, delta: float) -> mpf:
         values = [truth.boundary_point(t, gamma, delta, float(DELAY))[0] for t in (first, second)]
         low, high = (first, high) if values[0] < values[1] else (low, second)
     return truth.boundary_point(low, gamma, delta, float(DELAY))[0]
-
-
-def _difference(value: float, exact: mpf) -> float:
-    return float(abs(mpf(value) / exact - 1))

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from benchmarks import record
-from benchmarks.record import Record, Row
+from benchmarks.record import Row
 
 # Okabe and Ito's colours, told apart by the colour-blind; a marker each for those who print grey.
 _STYLES = {
@@ -39,22 +39,16 @@ def draw_all(folder: Path) -> None:
     for one in record.read_all(folder):
         if one["benchmark"] not in DRAWINGS:
             continue  # the table has it
-        figure = draw(one)
-        path = record.path_of(one, folder.parent if one["small"] else folder).with_suffix(".png")
-        figure.savefig(path, dpi=120)
-        print(path)
-        if folder == record.RESULTS:
-            figure.savefig(_DOCS / f"{one['benchmark']}.png", dpi=90)
-
-
-def draw(one: Record) -> Figure:
-    """Return the picture of a record."""
-    with mpl.rc_context({"font.size": 9, "axes.grid": True, "grid.alpha": 0.25}):
-        figure = DRAWINGS[one["benchmark"]](one["rows"])
         machine = one["machine"]
         where = machine["accelerator"] or f"{machine['cpu']}, {machine['cores']} cores"
-        figure.suptitle(f"{figure.get_suptitle()}\n{where}", fontsize=11)
-        return figure
+        with mpl.rc_context({"font.size": 9, "axes.grid": True, "grid.alpha": 0.25}):
+            figure = DRAWINGS[one["benchmark"]](one["rows"])
+            figure.suptitle(f"{figure.get_suptitle()}\n{where}", fontsize=11)
+            path = record.path_of(one, folder.parent if one["small"] else folder)
+            figure.savefig(path.with_suffix(".png"), dpi=120)
+            print(path.with_suffix(".png"))
+            if folder == record.RESULTS:
+                figure.savefig(_DOCS / f"{one['benchmark']}.png", dpi=90)
 
 
 def _resolution(rows: list[Row]) -> Figure:

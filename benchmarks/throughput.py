@@ -17,7 +17,7 @@ import numpy as np
 
 import jaxstab
 from benchmarks.eigenvalues import companions
-from benchmarks.grids import LAPACK_WORK, LoopFamily, jax_eigenvalues
+from benchmarks.grids import LoopFamily
 from benchmarks.record import Row
 from benchmarks.timing import Timing, interleaved
 from benchmarks.truth.boundary import Boundary
@@ -52,6 +52,7 @@ _ESTIMATORS: dict[str, tuple[Velocity, Rational]] = {
         times(difference(1), butterworth(_CUTOFF, 4)),
     ),
 }
+_LAPACK_WORK = 2e4  # points times degree squared of a timed call: as short as those of jaxstab
 _TILE = 512  # the quickest of those tried
 _EIGENVALUES_ON_ACCELERATOR = 100
 _SHARES = 10.0 ** np.arange(-16.0, -2.0)  # of the gains, by which judged walls are moved
@@ -74,6 +75,9 @@ class Judged(NamedTuple):
     distance: np.ndarray
     stable: np.ndarray
     radius: np.ndarray
+
+
+_jax_eigenvalues = jax.jit(jax.numpy.linalg.eigvals)
 
 
 def rows(small: bool) -> Iterator[Row]:
@@ -99,7 +103,8 @@ def _rows(
     judged = _judged(exact, border[:: max(len(border) // (2 if small else _JUDGED), 1)])
     family = LoopFamily(GAMMA, DELTA, delay, velocity)
     axes = [np.linspace(axis.min(), axis.max(), side) for axis in border.T]
-    methods = _methods(partial(_asked, delay, velocity), family, axes[0], axes[1][:, None])
+    place = {"gamma": GAMMA, "delta": DELTA, "delay": delay, "velocity": velocity}
+    methods = _methods(place, family, axes[0], axes[1][:, None])
     calls = {name: method.call for name, method in methods.items()}
     timings = interleaved(calls, budget=0.1 if small else 2.0, most=30)
     for name, method in methods.items():
@@ -116,15 +121,8 @@ def _rows(
         )
 
 
-def _asked(
-    delay: float, velocity: Velocity, function: Callable[..., Any], *gains: Any, **options: Any
-) -> Any:
-    place = {"gamma": GAMMA, "delta": DELTA, "delay": delay, "velocity": velocity}
-    return function(*gains, **place, **options)
-
-
 def _methods(
-    asked: Callable[..., Any], family: LoopFamily, alpha: np.ndarray, beta: np.ndarray
+    place: dict[str, Any], family: LoopFamily, alpha: np.ndarray, beta: np.ndarray
 ) -> dict[str, Method]:
     slice_ = np.stack(np.broadcast_arrays(alpha, beta), axis=-1).reshape(-1, 2)
     order = np.random.default_rng(0).permutation(len(slice_))
@@ -132,18 +130,16 @@ def _methods(
     def part(most: float) -> np.ndarray:
         return slice_[order[: max(int(most), 1)]].T
 
-    lapack = part(LAPACK_WORK / (family.plant.size - 1) ** 2)
-    on_cpu = jax.default_backend() == "cpu"
+    lapack = part(_LAPACK_WORK / (family.plant.size - 1) ** 2)
+    few = lapack if jax.default_backend() == "cpu" else part(_EIGENVALUES_ON_ACCELERATOR)
     matrices = companions(family.coefficients(*lapack))
-    few = part(_EIGENVALUES_ON_ACCELERATOR)
-    on_device = matrices if on_cpu else companions(family.coefficients(*few))
-    on_device = jax.device_put(on_device)
-    verdict, plain = partial(asked, jaxstab.verdict), _plain_verdict(family)
-    radius = partial(asked, jaxstab.spectral_radius)
+    on_device = jax.device_put(companions(family.coefficients(*few)))
+    verdict, plain = partial(jaxstab.verdict, **place), _plain_verdict(family)
+    radius = partial(jaxstab.spectral_radius, **place)
     companion = partial(radius, method="companion")
 
     def by_jax(*walls: np.ndarray) -> np.ndarray:
-        poles = jax_eigenvalues(companions(family.coefficients(*walls)))
+        poles = _jax_eigenvalues(companions(family.coefficients(*walls)))
         return np.abs(np.asarray(poles)).max(axis=-1)
 
     return {
@@ -158,7 +154,7 @@ def _methods(
         "numpy eigvals": Method(len(matrices), partial(np.linalg.eigvals, matrices), family.radius),
         "jax eigvals": Method(
             len(on_device),
-            partial(jax_eigenvalues, on_device),
+            partial(_jax_eigenvalues, on_device),
             by_jax,
         ),
     }

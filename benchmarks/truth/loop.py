@@ -101,27 +101,22 @@ def root_balls(
     alpha: Number, beta: Number, gamma: Number, delta: Number, delay: float
 ) -> list[flint.acb]:
     """All roots of p as certified disjoint balls (a multiple root is repeated), largest first."""
-    if gamma == delta == 0:
-        balls = rational_roots(polynomial(alpha, beta, gamma, delta, delay))
+    if gamma == delta == 0:  # the coefficients are rational: multiple roots are found exactly
+        rising = map(as_fmpq, reversed(polynomial(alpha, beta, gamma, delta, delay)))
+        with flint.ctx.workdps(4 * DIGITS):
+            found = flint.fmpq_poly(list(rising)).complex_roots()
+            balls = [ball for ball, count in found for _ in range(count)]
     elif alpha == beta == 0:  # known without a controller
         with flint.ctx.workprec(BITS[0]):
             balls = plant_poles(gamma, delta) + [flint.acb(0)] * (degree(delay) - 2)
     else:
-        balls = transcendental_roots(alpha, beta, gamma, delta, delay)
+        balls = _isolated(alpha, beta, gamma, delta, delay)
     return sorted(balls, key=lambda ball: [-as_mpf(abs(ball).mid()), -as_mpf(ball.imag.mid())])
 
 
-def rational_roots(coefficients: Sequence[mpf]) -> list[flint.acb]:
-    """At gamma = delta = 0 the coefficients are rational: multiple roots are found exactly."""
-    exact = flint.fmpq_poly([as_fmpq(c) for c in reversed(coefficients)])
-    with flint.ctx.workdps(4 * DIGITS):
-        return [ball for ball, count in exact.complex_roots() for _ in range(count)]
-
-
-def transcendental_roots(
+def _isolated(
     alpha: Number, beta: Number, gamma: Number, delta: Number, delay: float
 ) -> list[flint.acb]:
-    """The roots, by more and more digits."""
     for bits in BITS:
         with flint.ctx.workprec(bits):
             coefficients = plant_in_balls(gamma, delta, delay, bits).polynomial(alpha, beta, delay)
