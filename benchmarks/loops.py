@@ -15,7 +15,7 @@ what it did.
 
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
@@ -86,37 +86,29 @@ class Tally(NamedTuple):
 def rows(
     small: bool, points: int = LOOPS, keep: Callable[[list[Row]], object] = lambda rows: None
 ) -> Iterator[Row]:
-    workers = 1 if small else os.cpu_count() or 1
     done: list[Row] = []
-    for kind in KINDS:
-        count = kind.small if small else math.ceil(points * kind.share)
-        for tallies in _tallies(kind, count, workers):
-            known = [*done, *_rows_of(kind.words, *tallies)]
-            keep(known)
-        done = known
+    known: list[Row] = []
+    with ProcessPoolExecutor(1 if small else os.cpu_count(), get_context("spawn")) as pool:
+        for kind in KINDS:
+            count = kind.small if small else math.ceil(points * kind.share)
+            answers: list[list[Tally]] = []
+            for answer in pool.map(partial(_judged, kind), range(count), chunksize=_AT_ONCE):
+                answers.append(answer)
+                if len(answers) % _PROGRESS == 0 or len(answers) == count:
+                    print(f"loops{kind.words}: {len(answers)} of {count}", flush=True)
+                    known = [*done, *_rows_of(kind.words, *zip(*answers, strict=True))]
+                    keep(known)
+            done = known
     yield from done
 
 
 def _rows_of(
-    words: str, of_walls: list[Tally], of_radii: list[Tally], of_regions: list[Tally]
+    words: str, of_walls: Sequence[Tally], of_radii: Sequence[Tally], of_regions: Sequence[Tally]
 ) -> Iterator[Row]:
     yield _row("walls" + words, "verdict", of_walls, "undecided")
     yield _row("walls" + words, "numpy eigvals", [one.of_rival for one in of_walls], "undecided")
     yield _row("radii" + words, "spectral_radius", of_radii, "unbounded")
     yield _row("points of regions" + words, "stable_region", of_regions, "unresolved")
-
-
-def _tallies(kind: Kind, count: int, workers: int) -> Iterator[list[list[Tally]]]:
-    """Yield what became of the three kinds of questions about each loop so far."""
-    tallies: list[list[Tally]] = [[] for _ in _JUDGES]
-    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
-        answers = pool.map(partial(_judged, kind), range(count), chunksize=_AT_ONCE)
-        for index, answer in enumerate(answers):
-            for kept, one in zip(tallies, answer, strict=True):
-                kept.append(one)
-            if (index + 1) % _PROGRESS == 0 or index + 1 == count:
-                print(f"loops{kind.words}: {index + 1} of {count}", flush=True)
-                yield tallies
 
 
 def _judged(kind: Kind, index: int) -> list[Tally]:
@@ -138,7 +130,7 @@ def _judged(kind: Kind, index: int) -> list[Tally]:
     return tallies
 
 
-def _row(section: str, method: str, tallies: list[Tally], word: str) -> Row:
+def _row(section: str, method: str, tallies: Sequence[Tally], word: str) -> Row:
     asked, wrong = (sum(getattr(one, name) for one in tallies) for name in ("asked", "wrong"))
     unjudged = sum(one.unjudged for one in tallies)
     own = {"judged": asked - unjudged, "wrong": wrong, "unjudged": unjudged}

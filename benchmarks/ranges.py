@@ -73,17 +73,10 @@ class Tally(NamedTuple):
         return Tally(*(a + b for a, b in zip(self, other, strict=True)))
 
 
-class Campaign(NamedTuple):
-    """Totals, and CPU seconds of each question."""
-
-    tally: Tally
-    seconds: list[float]
-
-
 def margins(
     rng: np.random.Generator, count: int, draw: Callable[[np.random.Generator], Loop]
-) -> Campaign:
-    """Judge the margins of walls of random loops."""
+) -> tuple[Tally, list[float]]:
+    """Judge the margins of walls of random loops; totals, and CPU seconds of each question."""
     tally, seconds = Tally(), []
     for loop, region in _loops(rng, draw, count):
         wall = _wall(rng, region)
@@ -94,7 +87,7 @@ def margins(
             one = loop.loop
             ends = np.array(found[::2]) * [*np.repeat([one.alpha(1.0), one.beta(1.0)], 2), 1.0]
             tally += judged_steps(loop, wall, steps_to(ends, wall), region)
-    return Campaign(tally, seconds)
+    return tally, seconds
 
 
 def _crossings(loop: Loop, wall: np.ndarray) -> Sequence[float]:
