@@ -14,7 +14,6 @@ from jaxstab import Verdict
 _UNDAMPED = 1e-5  # how far a root may be from the circle
 _NEWTON_STEPS = 12
 
-
 Number = int | float | mpf
 Rational = tuple[flint.fmpq_poly, flint.fmpq_poly]  # numerator and denominator, in powers of z
 
@@ -35,7 +34,8 @@ def as_mpf(ball: flint.arb) -> mpf:
 
 def as_arb(value: Number) -> flint.arb:
     """The exact ball of a number."""
-    sign, mantissa, exponent, _ = mpf(value)._mpf_
+    number = value if isinstance(value, mpf) else mpf(value)  # which rounds those of mpmath
+    sign, mantissa, exponent, _ = number._mpf_
     return flint.arb((-mantissa if sign else mantissa, exponent))
 
 
