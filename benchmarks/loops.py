@@ -61,7 +61,7 @@ _WALLS = 100  # of a loop
 _RADII = 10
 _POINTS_NEAR_ENDS = 16  # of the circle, of which those next to the region are asked
 _POINTS_NEAR_MODES = 16
-_POINTS = {"outline": 14, "corners": 8, "islands": 10, "boundary": 14, "anywhere": 4}
+_POINTS = {"outline": 14, "corners": 8, "islands": 10, "boundary": 14, "anywhere": 16}
 _DOUBTED = 100  # points of outline and boundary, of which those are asked that are in doubt
 _DISTANCES = 10.0 ** -np.arange(3, 10)  # from the boundary, relative to the region
 

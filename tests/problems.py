@@ -103,7 +103,7 @@ def gains_of_root(
 def _parts(z: mpc, gamma: float, delta: float, delay: float) -> tuple[mpc, mpc, mpc]:
     """p(z) = alpha * first + beta * second + third."""
     whole, fraction = truth.split_delay(delay)
-    plant = truth.plant(gamma, delta, fraction, mp.dps)
+    plant = truth.sampled_plant(gamma, delta, fraction if fraction else 0)
     force = (plant.n2 * z + plant.n1) * z + plant.n0
     free = z ** (whole + 2) * ((z + plant.d1) * z + plant.d0)
     return force * z, force * (z - 1), free

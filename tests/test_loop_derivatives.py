@@ -14,8 +14,7 @@ import pytest
 from campaign import many, some
 from mpmath import mp, mpc, mpf
 
-from benchmarks.truth.loop import evaluate
-from benchmarks.truth.loop import plant as plant_of
+from benchmarks.truth.loop import evaluate, sampled_plant
 from jaxstab import Filter, HandRange, HapticLoop, Velocity, Verdict, limits_of, regions_of
 from jaxstab.arrays import solved
 
@@ -80,7 +79,7 @@ def parts(loop: HapticLoop, numbers: Numbers) -> tuple[list[mpf], list[mpf], lis
     gamma = n["hand_stiffness"] * T**2 / mass
     delta = (n["device_damping"] + n["hand_damping"]) * T / mass
     whole = int(loop.delay_samples)
-    plant = plant_of(gamma, delta, n["delay"] / T - whole, mp.dps)
+    plant = sampled_plant(gamma, delta, n["delay"] / T - whole)
     one, samples = mpf(1), 1
     dv, dp, nv, np_ = [one], [one], [one], [one]
     if loop.velocity == SMOOTH.velocity:

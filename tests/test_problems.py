@@ -296,7 +296,7 @@ def minus_line_is_good(number: int, problem: Problem) -> bool:
     _, beta, gamma, delta, delay = problem.point
     whole, fraction = truth.split_delay(delay)
     with mp.workdps(300):
-        plant = truth.plant(gamma, delta, fraction, mp.dps)
+        plant = truth.sampled_plant(gamma, delta, fraction if fraction else 0)
         found = float(jaxstab.paper.minus_line(beta, gamma=gamma, delta=delta, delay=delay))
         if plant.difference == 0:
             return not np.isfinite(found)

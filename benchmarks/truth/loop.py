@@ -1,11 +1,10 @@
 """50 digits of everything about a loop: plant, polynomial, roots and boundary.
 
 The route is the textbook one, on purpose not the library's: the plant x'' + delta x' + gamma x = u
-(T = m = 1) is sampled in state space, by the exponential of its matrix in balls of python-flint
-(``balls``). That needs no case distinction at gamma = 0, delta = 0 or critical damping.
-Cancellation is met by working precision: every quantity is computed with more and more bits until
-at least DIGITS of its own are certain, however small it is. Polynomials are solved in certified
-balls.
+(T = m = 1) is sampled in state space, from the Taylor series of its step response in t. That needs
+no case distinction at gamma = 0, delta = 0 or critical damping. Cancellation is met by working
+precision: every quantity is computed with more and more digits until at least DIGITS of its own
+are certain, however small it is. Polynomials are solved by python-flint in certified balls.
 
 All inputs are exact: a float means the binary number that it holds.
 """
@@ -25,13 +24,12 @@ from benchmarks.truth.balls import (
     as_arb,
     as_mpf,
     isolated_roots,
-    motion_in_balls,
     split_delay,
 )
 
 DIGITS = 50
-SAFE_DIGITS = 60  # certain digits asked of a value
-BITS = (460, 1400, 5400)  # the last ones hold sums such as 1 + 1e-300 exactly
+PRECISIONS = (120, 400, 1600)  # decimal digits; the last one holds sums such as 1 + 1e-300 exactly
+SAFE_DIGITS = 60  # certain digits asked of a value, in a computation of PRECISIONS digits
 
 mp.dps = 60
 
@@ -48,39 +46,77 @@ class Plant(NamedTuple):
     difference: mpf
 
 
-def certain(compute: Callable[[int], Iterable[flint.arb]], digits: int) -> list[mpf]:
-    """`compute` with the fewest bits that leave so many digits of each of its values certain.
-
-    A zero that is not exact is believed with the most bits only.
-    """
-    for bits in BITS:
-        with flint.ctx.workprec(bits):
-            values = list(compute(bits))
-            are_zero = [value == 0 or (bits == BITS[-1] and value.contains(0)) for value in values]
-            pairs = list(zip(values, are_zero, strict=True))
-            if all(zero or value.rel_accuracy_bits() > 3.33 * digits for value, zero in pairs):
-                return [mpf(0) if zero else as_mpf(value.mid()) for value, zero in pairs]
-    raise NotCertain(f"a value of {values} is too close to 0")
-
-
 plant_in_balls = lru_cache(maxsize=4096)(ExactPlant.of)  # many walls are asked of one plant
 
 
-def motion(gamma: Number, delta: Number, time: Number) -> list[mpf]:
+# -------------------------------------------------------------------------------- the sampled plant
+
+
+def motion(gamma: Number, delta: Number, time: Number) -> tuple[mpf, mpf]:
     """Position and velocity at `time` after a unit step of force on the plant at rest."""
-    return certain(lambda _: motion_in_balls(*map(as_arb, (gamma, delta, time))), SAFE_DIGITS)
+    gamma, delta, time = mpf(gamma), mpf(delta), mpf(time)
+    rate = float((abs(delta) + mp.sqrt(abs(gamma))) * time)
+    with mp.extraprec(64 + int(3 * rate)):  # the terms grow at most to exp(rate)
+        negligible = time**2 * mp.eps / 2**32
+        before, term = mpf(0), time**2 / 2
+        position, moment, k = term, 2 * term, 2
+        while k < rate or max(abs(before), abs(term)) * k > negligible:
+            following = -(delta * time * term + gamma * time**2 * before / k) / (k + 1)
+            before, term, k = term, following, k + 1
+            position += term
+            moment += k * term
+        return position, moment / time
 
 
-def plant(gamma: Number, delta: Number, fraction: Number = 0, digits: int = SAFE_DIGITS) -> Plant:
-    """Each coefficient, the sum and the difference with so many digits of their own."""
-    has_difference = delta != 0 or fraction != 0
+def sampled_plant(gamma: Number, delta: Number, fraction: Number) -> Plant:
+    """The coefficients in the working precision; an int 0 is a zero by structure.
 
-    def sampled(bits: int) -> list[flint.arb]:
-        p = plant_in_balls(gamma, delta, fraction, bits)
-        difference = p.n2 - p.n1 + p.n0 if has_difference else flint.arb(0)
-        return [*p[:5], p.n2 + p.n1 + p.n0, difference]
+    z times C adj(z - Phi) (Gamma0 + Gamma1 / z), where Gamma0 holds the motion after 1 - fraction
+    samples of force and Gamma1 the rest of the motion after one whole sample.
+    """
+    return _sampled_to(mp.prec, gamma, delta, fraction)
 
-    return Plant(*certain(sampled, digits))
+
+@lru_cache(maxsize=4096)  # many walls are asked of one plant
+def _sampled_to(_precision: int, gamma: Number, delta: Number, fraction: Number) -> Plant:
+    position, velocity = motion(gamma, delta, 1)
+    state_12, state_22 = velocity, 1 - delta * velocity - gamma * position
+    d0 = mp.exp(-mpf(delta))
+    d1 = gamma * position - 1 - state_22
+    total = position + velocity**2 - state_22 * position
+    if fraction == 0:
+        n0 = 0
+        n2 = position
+        n1 = position if delta == 0 else velocity**2 - state_22 * position
+        difference = 0 if delta == 0 else n2 - n1
+    else:
+        n2, early = motion(gamma, delta, 1 - mpf(fraction))
+        late_position, late_velocity = position - n2, velocity - early
+        n1 = late_position + state_12 * early - state_22 * n2
+        n0 = state_12 * late_velocity - state_22 * late_position
+        difference = n2 - n1 + n0
+    return Plant(d1, d0, n2, n1, n0, total, difference)
+
+
+def certain(compute: Callable[[], Iterable[mpf]], scale: Number = 1) -> list[mpf]:
+    """`compute` at the lowest precision that leaves SAFE_DIGITS of each of its values certain.
+
+    scale: what the terms that cancel are at most worth. An int 0 is taken as given; any other zero
+    is believed at the highest precision only, where sums and products of inputs are exact.
+    """
+    for digits in PRECISIONS:
+        with mp.workdps(digits + 20):
+            values = list(compute())
+            floor = abs(mpf(scale)) * mpf(10) ** (SAFE_DIGITS - digits)
+            exact = digits == PRECISIONS[-1]
+            if all(isinstance(v, int) or abs(v) > floor or (exact and v == 0) for v in values):
+                return [mpf(v) for v in values]
+    raise NotCertain(f"a value of {[mp.nstr(v, 5) for v in values]} is too close to 0")
+
+
+def plant(gamma: Number, delta: Number, fraction: Number = 0) -> Plant:
+    """Each coefficient, the sum and the difference with DIGITS digits of their own."""
+    return Plant(*certain(lambda: sampled_plant(gamma, delta, fraction)))
 
 
 # -------------------------------------------------------------------- the characteristic polynomial
@@ -90,37 +126,62 @@ def polynomial(
     alpha: Number, beta: Number, gamma: Number, delta: Number, delay: float
 ) -> list[mpf]:
     """p(z), monic, highest power first: degree 3 + delay, or 4 + floor(delay) for a fraction."""
+    return coefficients_to(SAFE_DIGITS, alpha, beta, gamma, delta, delay)
 
-    def expand(bits: int) -> list[flint.arb]:
-        return plant_in_balls(gamma, delta, delay, bits).polynomial(alpha, beta, delay)
 
-    return certain(expand, SAFE_DIGITS)
+def coefficients_to(
+    digits: int, alpha: Number, beta: Number, gamma: Number, delta: Number, delay: float
+) -> list[mpf]:
+    """p(z) with at least `digits` digits of each coefficient."""
+    whole, fraction = split_delay(delay)
+
+    def expand() -> list[mpf]:
+        with mp.extradps(digits):
+            p = sampled_plant(gamma, delta, fraction)
+            both = mpf(alpha) + mpf(beta)
+            force = [p.n2 * both, p.n1 * both - p.n2 * beta, p.n0 * both - p.n1 * beta]
+            force += [] if fraction == 0 else [-p.n0 * mpf(beta)]
+            coefficients = [mpf(1), p.d1, p.d0] + [mpf(0)] * (whole + len(force) - 2)
+            for place, value in enumerate(reversed(force), start=1):
+                coefficients[-place] += value
+            zeros = range(3, len(coefficients) - len(force))
+            return [0 if i in zeros else c for i, c in enumerate(coefficients)]
+
+    return certain(expand, scale=1 + abs(alpha) + abs(beta))
 
 
 def root_balls(
     alpha: Number, beta: Number, gamma: Number, delta: Number, delay: float
 ) -> list[flint.acb]:
     """All roots of p as certified disjoint balls (a multiple root is repeated), largest first."""
-    if gamma == delta == 0:  # the coefficients are rational: multiple roots are found exactly
-        rising = map(as_fmpq, reversed(polynomial(alpha, beta, gamma, delta, delay)))
-        with flint.ctx.workdps(4 * DIGITS):
-            found = flint.fmpq_poly(list(rising)).complex_roots()
-            balls = [ball for ball, count in found for _ in range(count)]
-    elif alpha == beta == 0:  # known without a controller
-        with flint.ctx.workprec(BITS[0]):
-            balls = plant_poles(gamma, delta) + [flint.acb(0)] * (degree(delay) - 2)
+    if gamma == delta == 0:
+        balls = rational_roots(polynomial(alpha, beta, gamma, delta, delay))
     else:
-        balls = _isolated(alpha, beta, gamma, delta, delay)
+        balls = transcendental_roots(alpha, beta, gamma, delta, delay)
     return sorted(balls, key=lambda ball: [-as_mpf(abs(ball).mid()), -as_mpf(ball.imag.mid())])
 
 
-def _isolated(
+def rational_roots(coefficients: Sequence[mpf]) -> list[flint.acb]:
+    """At gamma = delta = 0 the coefficients are rational: multiple roots are found exactly."""
+    exact = flint.fmpq_poly([as_fmpq(c) for c in reversed(coefficients)])
+    with flint.ctx.workdps(4 * DIGITS):
+        return [ball for ball, count in exact.complex_roots() for _ in range(count)]
+
+
+def transcendental_roots(
     alpha: Number, beta: Number, gamma: Number, delta: Number, delay: float
 ) -> list[flint.acb]:
-    for bits in BITS:
-        with flint.ctx.workprec(bits):
-            coefficients = plant_in_balls(gamma, delta, delay, bits).polynomial(alpha, beta, delay)
-            balls = isolated_roots(coefficients, flint.arb(10) ** -(SAFE_DIGITS + 10))
+    """The roots, by more and more digits; without a controller they are known."""
+    for digits in PRECISIONS:
+        with flint.ctx.workdps(digits + 20):
+            if alpha == beta == 0:
+                zeros = [flint.acb(0)] * (degree(delay) - 2)
+                balls = plant_poles(gamma, delta) + zeros
+            else:
+                error = flint.arb(0, flint.arb(10) ** -digits)
+                coefficients = coefficients_to(digits, alpha, beta, gamma, delta, delay)
+                inexact = [as_arb(c) * (1 + error) for c in coefficients]
+                balls = isolated_roots(inexact, flint.arb(10) ** -(SAFE_DIGITS + 10))
             if balls and all(b == 0 or b.rel_accuracy_bits() > SAFE_DIGITS * 3.3 for b in balls):
                 return [on_real_axis(ball, balls) for ball in balls]
     raise NotCertain(f"roots not told apart at {(alpha, beta, gamma, delta, delay)}")
@@ -128,8 +189,8 @@ def _isolated(
 
 def plant_poles(gamma: Number, delta: Number) -> list[flint.acb]:
     """The roots exp(-delta/2 +- sqrt(delta^2/4 - gamma)) of D, double at critical damping."""
-    half = as_arb(delta) / 2
-    split = flint.acb(half**2 - as_arb(gamma)).sqrt()
+    half = as_arb(mpf(delta)) / 2
+    split = flint.acb(half**2 - as_arb(mpf(gamma))).sqrt()
     return [(split - half).exp(), (-split - half).exp()]
 
 
@@ -189,12 +250,18 @@ def boundary_point(
     theta: Number, gamma: Number, delta: Number, delay: float, radius: Number = 1
 ) -> tuple[mpf, mpf]:
     """(alpha, beta) with roots of p at radius exp(+-i theta), 0 < theta < pi."""
+    whole, fraction = split_delay(delay)
 
-    def solve(bits: int) -> tuple[flint.arb, flint.arb]:
-        z = as_arb(radius) * flint.acb(0, as_arb(theta)).exp()
-        return plant_in_balls(gamma, delta, delay, bits).loop(delay).wall_with_root(z)
+    def solve() -> tuple[mpf, mpf]:
+        p = sampled_plant(gamma, delta, fraction)
+        z = mpf(radius) * mp.expj(mpf(theta))
+        denominator, numerator = evaluate((1, p.d1, p.d0), z), evaluate((p.n2, p.n1, p.n0), z)
+        w = -(z ** (whole + 1)) * denominator / numerator
+        slope = 1 - 1 / z
+        beta = w.imag / slope.imag
+        return w.real - beta * slope.real, beta
 
-    alpha, beta = certain(solve, SAFE_DIGITS)
+    alpha, beta = certain(solve)
     return alpha, beta
 
 
@@ -205,7 +272,7 @@ def ulps(value: float, exact: mpf) -> float:
     """|value - exact| in units of the last place of `exact` rounded to float64."""
     if not math.isfinite(value):
         return math.inf
-    with mp.workdps(400):
+    with mp.workdps(PRECISIONS[1]):
         error = abs(mpf(float(value)) - exact)
         if exact == 0:
             return 0.0 if error == 0 else math.inf
