@@ -44,7 +44,7 @@ def first_rise(level: float, gamma: float, delta: float, delay: float) -> Rise |
     NotCertain where two roots, or a root and the end of an interval, are not told apart.
     """
     with mp.workdps(3 * DIGITS):
-        plant = truth.plant(gamma, delta, truth.split_delay(delay)[1], 3 * DIGITS)
+        plant = truth.sampled_plant(gamma, delta, truth.split_delay(delay)[1])
 
         def curve(x: mpf) -> tuple[mpf, mpf, mpf]:
             return _curve_point(plant, math.floor(delay), x)
