@@ -350,6 +350,34 @@ def test_gains_with_an_inertia_are_a_wall() -> None:
 SCENE = ["data/scenes/omega.toml", "--wall", "1000", "15"]
 
 
+@pytest.mark.parametrize(
+    ("asked", "held"), [("mass", "the longest"), ("delay", "each value that is tried")]
+)
+def test_design_says_which_constant_delay_stands_for_one_that_moves(asked: str, held: str) -> None:
+    moving = ["--delay", "0:0.001", "--lost-samples", "1"]
+    shown, one = (
+        run("design", *SCENE, "--for", asked, *delay) for delay in (moving, ["--delay", "0.001"])
+    )
+    assert shown.exit_code == 0
+    assert shown.stdout.splitlines()[2].endswith(
+        "the delay varies between 0 and 1 ms; the most recent sample that has arrived is used, "
+        f"up to 1 in a row are lost; here constant, {held}, no sample lost"
+    )
+    assert "each end is proved for every hand at a constant delay\n" in shown.stdout
+    assert "each end is proved for every hand\n" in one.stdout
+
+
+def test_the_least_inertia_is_for_a_constant_delay_and_says_so() -> None:
+    gains = ["--gains", "6669.1", "71.6", "--rate", "1000", "--damping", "0.05", "--json"]
+    moving = run("limits", *gains, "--delay", "0:0.001")
+    one = run("limits", *gains, "--delay", "0.001")
+    assert (moving.exit_code, one.exit_code) == (1, 0)
+    inputs, wall = (json.loads(moving.stdout)[key] for key in ("inputs", "walls"))
+    assert inputs["delay_is"].endswith("here constant, the longest")
+    assert wall["gains"].pop("certainty") == "each end is proved at a constant delay"
+    assert wall == json.loads(one.stdout)["walls"]
+
+
 @pytest.mark.parametrize("asked", ["mass", "damping", "window"])
 def test_design_says_what_a_wall_needs_for_every_hand(asked: str) -> None:
     shown = run("design", *SCENE, "--for", asked)

@@ -360,7 +360,7 @@ def quantities(kind: Any) -> dict[str, Quantity]:
 _NO_DELAY = "assumed: the scene names none"
 
 
-def _delay_is(controller: Controller, *, at_longest: bool) -> str | None:
+def _delay_is(controller: Controller, constant: str | None) -> str | None:
     """Describe a range of delays and for which of them answers hold; None for one delay."""
     if controller.has_one_delay:
         is_given = controller.delay is not None or controller.delay_samples is not None
@@ -368,7 +368,8 @@ def _delay_is(controller: Controller, *, at_longest: bool) -> str | None:
     low, high = controller.delays
     ends = IntervalQuantity("s").words((low, high)).replace(" to ", " and ")
     every = "sequence" if controller.moves else "constant delay"
-    hold = "here constant, the longest" if at_longest else f"verdicts cover every {every}"
+    hold = f"here constant, {constant}" if constant else f"verdicts cover every {every}"
+    hold += ", no sample lost" if constant and controller.lost_samples else ""
     if not controller.moves:
         return f"is constant, somewhere between {ends}; {hold}"
     losses = (
@@ -384,10 +385,10 @@ def delay_notes(scene: Scene) -> list[str]:
     return [f"the delay {words}"] if words else []
 
 
-def basis_of(scene: Scene, *, at_longest: bool = False) -> Basis:
+def basis_of(scene: Scene, *, at_longest: bool = False, constant: str = "the longest") -> Basis:
     """The inputs that the answers hold for: estimator, filter, delay, device, hand, motion.
 
-    ``at_longest``: of answers for the longest delay of a range, as a constant one.
+    ``at_longest``: of answers for the longest delay of a range, as a constant one, or ``constant``.
     """
     controller, device, hand = scene.controller, scene.device, scene.hand
     low, high = (controller.delays[1],) * 2 if at_longest else controller.delays
@@ -403,7 +404,7 @@ def basis_of(scene: Scene, *, at_longest: bool = False) -> Basis:
         sample_time=controller.sample_time,
         delay=(low, high) if low < high else low,
         delay_samples=samples if low < high else samples[1],
-        delay_is=_delay_is(controller, at_longest=at_longest),
+        delay_is=_delay_is(controller, constant if at_longest else None),
         lost_samples=None if at_longest else controller.lost_samples or None,
         mass=device.effective_mass,
         damping=device.damping,

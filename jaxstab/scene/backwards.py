@@ -2,7 +2,7 @@
 
 ``design --for`` asks for any quantity, ``limits --gains`` without an inertia for that. What is
 asked for may be missing in the scene, and a damping that is missing counts as 0: the answer says
-so. Of a range of delays it is the longest one, as a constant delay.
+so. Of a range of delays it is the longest one, as a constant delay, and the answer says so, too.
 """
 
 from collections.abc import Mapping
@@ -57,18 +57,19 @@ class Backwards:
         device = {**device, **missing} if isinstance(device, Mapping) else device  # is refused
         scene = Scene.from_table({**table, "device": device}, source)
         scene.require_walls()
-        return cls(scene.at_longest_delay, asked, "damping" in missing and asked != "damping")
+        return cls(scene, asked, "damping" in missing and asked != "damping")
 
     def unusual(self) -> list[str]:
         """Describe values that look like a slip of the unit."""
         return self.scene.unusual()
 
-    def answer(self, _: str) -> GainAnswer:
+    def answer(self, command: str) -> GainAnswer:
         """The values that each wall needs."""
-        scene, quantity = self.scene, QUANTITIES[self.asked]
-        inputs, controller = basis_of(scene, at_longest=True), scene.controller
+        scene, quantity = self.scene.at_longest_delay, QUANTITIES[self.asked]
+        held = "each value that is tried" if self.asked == "delay" else "the longest"
+        inputs = basis_of(self.scene, at_longest=True, constant=held)
         options: Any = {
-            "in_samples": controller.delay_samples is not None,
+            "in_samples": scene.controller.delay_samples is not None,
             "mass": masses_of(scene),
         }
         if quantity == "device_mass":
@@ -79,16 +80,24 @@ class Backwards:
             name: (wall, range_of(loop_of(scene), quantity, wall, **options))
             for name, wall in walls_of(scene).items()
         }
+        has_one_delay = self.scene.controller.has_one_delay
+        every = " for every hand" if "hands" in options else ""
+        every += "" if has_one_delay else " at a constant delay"
         walls = {
-            name: _needs(wall, values, scene.units, is_range="hands" in options)
-            for name, (wall, values) in found.items()
+            name: _needs(wall, values, scene.units, every) for name, (wall, values) in found.items()
         }
         assumed = "0, assumed: the scene names none" if self.has_no_damping else None
-        return GainAnswer({"inputs": inputs, "device_damping": assumed, "walls": walls})
+        # ``limits`` answers for all delays, ``design`` for the one that its answer names.
+        is_for_all = command == "design" or has_one_delay
+        values = {"inputs": inputs, "device_damping": assumed, "walls": walls}
+        return GainAnswer(values, is_stable=is_for_all)
 
 
-def _needs(wall: Gains, found: StableValues, units: Units, *, is_range: bool) -> GainAnswer:
-    """The values that one wall needs: the interval that is widest by its ratio, and others."""
+def _needs(wall: Gains, found: StableValues, units: Units, every: str) -> GainAnswer:
+    """The values that one wall needs: the interval that is widest by its ratio, and others.
+
+    ``every``: beyond what one loop needs, what its ends are proved for.
+    """
     name = {"device_mass": "mass"}.get(found.quantity, found.quantity)
     least, largest, others, digits = f"least_{name}", f"largest_{name}", f"other_{name}", 10
     values: dict[str, Any] = {"stiffness": wall.stiffness, "damping": wall.damping}
@@ -101,8 +110,8 @@ def _needs(wall: Gains, found: StableValues, units: Units, *, is_range: bool) ->
         values[others] = numbered(more)
         is_all = len(inner) == 1 and inner[0] == found.between
         values["status"] = "every value tried is stable" if is_all else None
-        words = "each end is proved for every hand", "not proved for every hand"
-        values["certainty"] = words[not found.is_proved] if is_range else None
+        words = f"{'each end is' if found.is_proved else 'not'} proved{every}"
+        values["certainty"] = words if every else None
     else:
         values["status"] = "no value tried is stable"
     values["scan"] = found._replace(unit=units.unit(found.unit)).scan
