@@ -348,6 +348,7 @@ def test_gains_with_an_inertia_are_a_wall() -> None:
 
 
 SCENE = ["data/scenes/omega.toml", "--wall", "1000", "15"]
+SIMULATOR = "data/scenes/gains/simulator.toml"
 
 
 @pytest.mark.parametrize(
@@ -429,6 +430,11 @@ def test_a_delay_in_samples_goes_with_the_sample_time() -> None:
     ("arguments", "words"),
     [
         (["design", *SCENE], "without --for"),
+        (
+            ["design", SIMULATOR, "--wall", "80", "2", "--for", "inertia"],
+            "--for, and --gains without a mass, are for walls of a held device; jaxstab study",
+        ),
+        (["limits", SIMULATOR, "--gains", "80", "2"], "asks for other loops"),
         (["design", *SCENE, "--for", "mass", "--plot", "a.png"], "--plot is given"),
         (["design", *SCENE, "--for", "mass", "--safety", "0.8"], "--safety is given"),
         (["design", *SCENE, "--for", "cutoff"], "has 0 of it"),

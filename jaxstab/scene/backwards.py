@@ -30,6 +30,12 @@ QUANTITIES: Mapping[str, str] = {
 }
 """What may be asked for, as commands call it."""
 
+_NO_WALL = (
+    "the scene has a table [loop], but --for, and --gains without a mass, are for walls of a held "
+    "device; jaxstab study SCENE --over KEY=VALUES asks for other loops, such as "
+    "loop.inertia=0.05,0.2."
+)
+
 
 def known_of(table: Mapping[str, Any]) -> set[str]:
     """The keys of the device of a table, with those that its preset has."""
@@ -50,6 +56,8 @@ class Backwards:
     @classmethod
     def from_table(cls, table: Mapping[str, Any], source: str, asked: str) -> "Backwards":
         """Check a scene in which what is asked for may be missing; ValueError: ``Scene``."""
+        if "loop" in table:
+            raise ValueError(f"{source}: {_NO_WALL}" if source else _NO_WALL)
         known, device = known_of(table), table.get("device", {})
         missing = {} if "damping" in known else {"damping": 0.0}
         if QUANTITIES[asked] == "device_mass" and not {"mass", "inertia"} & known:
