@@ -36,6 +36,7 @@ from jaxstab.scene.scene import Units
 
 FREE = ["--mass", "1", "--damping", "0", "--sample-time", "0.05", "--delay", "0"]
 PHANTOM = ["--device", "phantom", "--sample-time", "0.001"]
+JOINT = "data/scenes/joint.toml"
 GRID = 0.05  # s: of FREE, K = alpha m / T^2 and B = beta m / T
 
 
@@ -226,6 +227,8 @@ def test_options_go_before_the_values_of_a_file(tmp_path: Path) -> None:
         (["limits", "nowhere.toml"], "cannot read nowhere.toml"),
         (["limits", "--damping", "1"], "device.mass is missing"),
         (["design", *PHANTOM], "wanted.stiffness is missing"),
+        (["design", JOINT], "give the stiffness to design for in N m/rad."),
+        (["contact", JOINT], "give contact.push in N m, or contact.speed in rad/s (on"),
         (["scene", "explain", "nowhere.toml"], "cannot read nowhere.toml"),
         (["limits", *PHANTOM, "--plot", "picture.pdf"], "ends in neither .png nor .svg"),
         (["check", *PHANTOM, "--plot", "no/folder.png"], "no does not exist"),

@@ -388,6 +388,18 @@ def test_design_says_what_a_wall_needs_for_every_hand(asked: str) -> None:
     assert "each end is proved for every hand" in shown.stdout
 
 
+def test_further_intervals_of_an_inertia_are_called_so() -> None:
+    device = ["--inertia", "1", "--damping", "0.02", "--hand-stiffness", "5", "--delay", "0"]
+    timing = ["--sample-time", "0.001", "--set", "controller.velocity.cutoff=20"]
+    asked = ["design", *device, *timing, "--wall", "20", "0.3", "--for", "inertia"]
+    answer = json.loads(run(*asked, "--json").stdout)
+    wall = answer["walls"]["gains"]
+    assert "  other inertia 1    " in run(*asked).stdout
+    assert wall["other_inertia"]["1"] == pytest.approx([3.504839e-6, 1.33081405e-5])
+    assert wall["least_inertia"] == pytest.approx(1.025884791e-4)
+    assert {answer["units"][f"{end}_inertia"] for end in ("least", "other")} == {"kg m^2"}
+
+
 def test_design_of_no_value_exits_with_1_and_json_has_all_digits() -> None:
     shown = run(
         "design",

@@ -106,7 +106,7 @@ def _needs(wall: Gains, found: StableValues, units: Units, every: str) -> GainAn
 
     ``every``: beyond what one loop needs, what its ends are proved for.
     """
-    name = {"device_mass": "mass"}.get(found.quantity, found.quantity)
+    name = units.moved if found.quantity == "device_mass" else found.quantity
     least, largest, others, digits = f"least_{name}", f"largest_{name}", f"other_{name}", 10
     values: dict[str, Any] = {"stiffness": wall.stiffness, "damping": wall.damping}
     if found.intervals:

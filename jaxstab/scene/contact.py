@@ -91,8 +91,8 @@ def simulate_contacts(scene: Scene) -> Contacts:
 def _require_contact(scene: Scene) -> None:
     if scene.contact is None:
         raise ValueError(
-            "contact is missing; give contact.push in N, or contact.speed in m/s (on the command "
-            "line --push or --speed)."
+            f"contact is missing; give contact.push in {scene.units.force}, or contact.speed in "
+            f"{scene.units.length}/s (on the command line --push or --speed)."
         )
 
 

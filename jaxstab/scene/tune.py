@@ -332,7 +332,10 @@ def design_loop(scene: Scene) -> Design:
     given, scene = scene, scene.at_longest_delay
     wanted = scene.wanted.stiffness
     if wanted is None:
-        raise ValueError("wanted.stiffness is missing; give the stiffness to design for in N/m.")
+        raise ValueError(
+            "wanted.stiffness is missing; give the stiffness to design for in "
+            f"{scene.units.stiffness}."
+        )
     loop, safety = loop_of(scene), scene.wanted.safety or 1.0
     in_samples, velocity = scene.controller.delay_samples, scene.controller.velocity
     period, largest = loop.sample_time, partial(_largest, wanted, safety)
