@@ -672,6 +672,7 @@ def test_ranges_are_simulated_at_their_lowest_hand_and_longest_delay() -> None:
     soft = simulate_contacts(scene).walls["soft"]
     words = "the longest delay, held constant; hand and device at their lowest values"
     assert soft.contact_is.endswith(words)
+    assert f"; {words})\n" in check_walls(scene).in_short()
     loop = HapticLoop(**HELD, hand_mass=0.1, delay=2e-3, velocity=Velocity.difference(window=0.02))
     runs = jaxstab.contact_map(
         loop, 1000.0, 10.0, push=[1.0, 0.0, 1.0], speed=[0.0, 0.1, 0.1], friction=0.1,
@@ -821,6 +822,34 @@ def test_a_motion_without_an_end_has_no_size() -> None:
     text = "\n".join(wall.lines())
     assert re.search(r"(?m)^penetration +unlimited$", text)
     assert wall.in_short(scene.units).startswith("pushed through the wall, whose force stays at ")
+
+
+def test_a_motion_that_grows_has_the_size_that_it_reached() -> None:
+    mode = {"frequency": 40.0, "damping_ratio": 0.05, "modal_mass": 0.5}
+    table = {
+        "device": {"mass": 0.3, "damping": 0.2, "modes": [mode]},
+        "controller": {"sample_time": 1e-3, "delay": 1e-3},
+        "walls": {"hard": {"stiffness": 1e5, "damping": 50.0}},
+        "contact": {"push": 0.5, "speed": 1.0},
+    }
+    (wall,) = simulate_contacts(Scene.from_table(table)).walls.values()
+    assert wall.contact == ContactKind.GROWS
+    assert wall.largest_force < inf
+    assert not re.search("unlimited", "\n".join(wall.lines()))
+
+
+def test_contacts_are_said_to_be_of_one_constant_delay(tmp_path: Path) -> None:
+    scene = scene_with(controller={"delay": [0.0, 1e-3]})
+    answer = simulate_contacts(scene)
+    words = "varies between 0 and 1 ms; the most recent sample that has arrived is used; here "
+    words += "constant, the longest"
+    assert f"the delay {words}\n" in str(answer)
+    title = scene_figure(scene, answer).get_suptitle().replace("\n", " ")
+    assert f"delay {words}" in title
+    file = tmp_path / "scene.toml"
+    file.write_text(SCENE, encoding="utf-8")
+    mapped = run("contact", file, "--delay", "0:0.001", "-o", tmp_path / "map.nc", "--count", "2")
+    assert f"the delay {words}." in mapped.stderr
 
 
 def test_a_wall_that_cannot_be_simulated_leaves_the_others() -> None:

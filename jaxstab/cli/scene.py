@@ -463,6 +463,7 @@ def contact(
     for name in (name for name, value in beside.items() if value):
         raise click.UsageError(f"--{name} is given beside --output; give one of them.")
     from jaxstab.loop import ContactKind
+    from jaxstab.scene.answers import delay_notes
     from jaxstab.scene.contact import map_contacts
     from jaxstab.scene.draws import listed
     from jaxstab.scene.labelled import computed, require_free, write
@@ -470,7 +471,7 @@ def contact(
     require_free(output)
     keep_programs()
     scene = scene_of(given)
-    warn(*scene.unusual())
+    warn(*scene.unusual(), *delay_notes(scene))
     forces = None if frictions is None else [*map(float, listed("friction", frictions))]
     planned = map_contacts(scene, count, forces)
     assert scene.contact is not None  # there is a map

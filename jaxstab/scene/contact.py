@@ -51,19 +51,20 @@ class Simulated(Answer):
     contact_is: str
 
     def in_short(self, units: Units) -> str:
-        """Its end, and the start that it is from."""
+        """Its end, and the start, the delay and the hand that it is from."""
         said = {path: words for path, _, words in self.leaves("", units)}
         words = said["contact"]
         if self.contact == ContactKind.RESTS:
             words += f" after {said['time_to_rest']}, penetration {said['penetration']}"
         elif self.contact_frequency is not None and isfinite(self.amplitude):
             words += f", amplitude {said['amplitude']} at {said['contact_frequency']}"
-        return f"{words} (simulated, {self.worst_start})"
+        _, *held = self.contact_is.split("; ")
+        return f"{words} (simulated, {'; '.join([self.worst_start, *held])})"
 
     def lines(self, indent: str = "", units: Units = Units.LINE) -> list[str]:
-        """The lines, without the size of a motion that has no end."""
-        endless = (ContactKind.GROWS, ContactKind.PUSHED_THROUGH)
-        own = replace(self, amplitude=inf, penetration=inf) if self.contact in endless else self
+        """The lines, without the size of a motion that nothing holds."""
+        is_through = self.contact == ContactKind.PUSHED_THROUGH
+        own = replace(self, amplitude=inf, penetration=inf) if is_through else self
         return Answer.lines(own, indent, units)
 
 
@@ -85,7 +86,7 @@ def simulate_contacts(scene: Scene) -> Contacts:
     """The worst simulated contact with each wall of a scene that says how the device meets it."""
     scene.require_walls()
     _require_contact(scene)
-    return Contacts(basis_of(scene), scene.device.friction, contacts_of(scene))
+    return Contacts(basis_of(scene, at_longest=True), scene.device.friction, contacts_of(scene))
 
 
 def _require_contact(scene: Scene) -> None:
