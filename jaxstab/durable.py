@@ -13,10 +13,13 @@ import secrets
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
 _OPENED = "/proc/self/fd"
+OUTPUTS: dict[Path, str] = {}
+"""What the command at work is to write, with its options: it may read none of these files."""
 _TAKEN = "another process has written it meanwhile; remove that file, or give another name"
 
 
@@ -128,6 +131,18 @@ def target_of(path: Path) -> tuple[Path, int | None]:
     if not stat.S_ISREG(status.st_mode):
         raise OSError(errno.EINVAL, "it is a device, a pipe or a socket, not a file")
     return target, stat.S_IMODE(status.st_mode)
+
+
+def require_no_output(source: str | PathLike[str] | int) -> None:
+    """Refuse to read what the command at work is to replace, by any name; FileExistsError."""
+    for output, option in OUTPUTS.items():
+        try:
+            is_same = os.path.samefile(source, output)
+        except OSError:  # one of them does not exist
+            continue
+        if is_same:
+            words = f"{option} is {output}, which this command reads; give another name."
+            raise FileExistsError(words)
 
 
 @contextmanager

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from jaxstab.conventions import AXES
+from jaxstab.durable import require_no_output
 from jaxstab.shown import printable, shortened
 
 Made = TypeVar("Made", bound="Table")
@@ -61,6 +62,7 @@ def text_of(path: str | PathLike[str], most: int) -> str:
     source = "stdin" if str(path) == "-" else path
     if source == "stdin" and sys.stdin is None:
         raise ValueError("stdin is closed; redirect a file to it, or give the name of one.")
+    require_no_output(0 if source == "stdin" else path)
     try:
         with sys.stdin.buffer if source == "stdin" else Path(path).open("rb") as stream:
             data = stream.read(most + 1)

@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import shutil
 import struct
 import subprocess
 import sys
@@ -10,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from atlases import SMALL_TOML, write_small
-from commands import POINT, START, assert_one_sentence, run, run_process
+from commands import EXAMPLE, POINT, START, assert_one_sentence, run, run_process
 
 import jaxstab
 
@@ -241,3 +242,60 @@ def test_what_is_asked_once_does_not_load_jax(commands: list[list[str]], tmp_pat
     loaded = set(completed.stderr.split())
     assert loaded.isdisjoint({"jax", "rich", "scipy"})
     assert ("matplotlib" in loaded) == (commands is PICTURES)
+
+
+# What a command reads is never what it writes.
+
+_WRITES = {
+    "limits": ("limits", "{}", "--csv", "{}"),
+    "link": ("limits", "{}", "--csv", "link.toml"),
+    "response": ("limits", "measured.toml", "{}", "--csv", "log.csv"),
+    "study": ("study", "{}", "--over", "device.mass=1,2", "--csv", "{}"),
+    "draws": ("study", "{}", "--over", "device.mass=csv:log.csv:m", "--csv", "log.csv"),
+    "guard": ("guard", "{}", "-o", "{}"),
+    "plot": ("check", "scene.svg", "--plot", "scene.svg"),
+    "certificate": ("check", "scene.json", "--certificate", "scene.json"),
+    "atlas": ("atlas", "plot", "scene.png", "-o", "scene.png"),
+    "explore": ("explore", "scene.html", "-o", "scene.html"),
+    "build": ("atlas", "build", "--spec", "{}", "-o", "{}"),
+    "gains": ("joints", "arm.xml", "--gains", "arm.yaml", "--safe-gains", "arm.yaml"),
+    "robot": ("joints", "arm.xml", "--rate", "500", "--csv", "arm.xml"),
+    "identify": ("identify", "log.csv", "-o", "./log.csv"),
+    "merge": ("study", "part.h5", "--merge", "-o", "part.h5"),
+}
+
+
+@pytest.mark.parametrize("name", _WRITES)
+def test_a_command_never_replaces_what_it_reads(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for ending in ("toml", "svg", "png", "json", "html"):
+        (tmp_path / f"scene.{ending}").write_text(EXAMPLE)
+    (tmp_path / "link.toml").symlink_to("scene.toml")
+    (tmp_path / "measured.toml").write_text(
+        '[device]\nresponse = "log.csv"\n[controller]\nsample_time = 1e-3\n'
+    )
+    for robot in (Path(__file__).parents[1] / "data/robots").iterdir():
+        shutil.copy(robot, tmp_path)
+    (tmp_path / "log.csv").write_text("time,force,position,m\n0,1,2,3\n")
+    (tmp_path / "part.h5").write_bytes(b"")
+    before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
+    done = run(*(word.format("scene.toml") for word in _WRITES[name]))
+    assert (done.exit_code, done.stdout) == (2, "")
+    assert_one_sentence(done.stderr)
+    assert "which this command reads; give another name." in done.stderr
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
+
+
+def test_stdin_is_not_replaced_either(tmp_path: Path) -> None:
+    scene = tmp_path / "scene.toml"
+    scene.write_text(EXAMPLE)
+    command = [sys.executable, "-c", START, "check", "-", "--csv", scene]
+    with scene.open() as stdin:
+        done = subprocess.run(command, stdin=stdin, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert (
+        done.stderr == f"jaxstab: --csv is {scene}, which this command reads; give another name.\n"
+    )
+    assert scene.read_text() == EXAMPLE

@@ -678,6 +678,11 @@ def test_the_command_says_the_plan_the_quantiles_and_the_shares(desk: Path) -> N
     assert (again.exit_code, again.stdout) == (2, "")
     assert again.stderr == f"jaxstab: {output} exists; remove it, or give another name.\n"
     assert output.read_bytes() == before
+    table = output.with_name("a.csv")
+    table.write_text("mine")
+    again = run(*given[:-2], "--csv", table)
+    assert again.stderr == f"jaxstab: {table} exists; remove it, or give another name.\n"
+    assert table.read_text() == "mine"
 
 
 def test_51_13_the_plan_counts_what_it_was_given_and_draws_what_takes_a_minute() -> None:

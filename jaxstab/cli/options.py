@@ -8,14 +8,14 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
-from functools import reduce
+from functools import partial, reduce
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
 import jaxstab
-from jaxstab.durable import publish, target_of
+from jaxstab.durable import OUTPUTS, publish, target_of
 from jaxstab.shown import shortened
 from jaxstab.tables import text_of
 
@@ -71,8 +71,11 @@ def file_in(*endings: str) -> Callable[..., Path | None]:
 picture_file = file_in(".png", ".svg")
 
 
-def output_file(_: click.Context, option: click.Parameter, path: Path | None) -> Path | None:
-    """Return the name of a file that may be written, in a folder that exists; "-" is stdout."""
+def output_file(context: click.Context, option: click.Parameter, path: Path | None) -> Path | None:
+    """Return the name of a file that may be written, in a folder that exists; "-" is stdout.
+
+    Until the command ends, it may not be read.
+    """
     if path is None or str(path) == "-":
         return path
     try:
@@ -83,6 +86,8 @@ def output_file(_: click.Context, option: click.Parameter, path: Path | None) ->
         raise click.BadParameter(f"the folder {folder} does not exist.", param=option)
     if not os.access(folder, os.W_OK):
         raise click.BadParameter(f"the folder {folder} cannot be written.", param=option)
+    OUTPUTS[path] = option.opts[-1]
+    context.call_on_close(partial(OUTPUTS.pop, path, None))
     return path
 
 

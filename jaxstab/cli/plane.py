@@ -196,9 +196,10 @@ def plot(
     file: Path, output: Path, gamma: float | None, delta: float | None, delay: tuple[float, ...]
 ) -> None:
     """Draw verdicts and fields in the (alpha, beta) plane."""
-    from jaxstab.durable import publish
+    from jaxstab.durable import publish, require_no_output
     from jaxstab.pictures.atlas import draw_atlas
 
+    require_no_output(file)
     png = draw_atlas(jaxstab.open_atlas(file), gamma, delta, delay)
     publish(png, output)
     click.echo(output)

@@ -86,8 +86,6 @@ def study(
         raise click.UsageError("--merge is given beside --over or --part; give one of them.")
     if not merge and len(given["files"]) > 1:
         raise click.UsageError("a study is for one scene; give one FILE, or --merge.")
-    if output is not None:
-        require_free(output)
     if merge:
         table = merged(given["files"])
     else:
@@ -103,6 +101,9 @@ def study(
             part=(number, count),
         )
         table = planned.table
+    for file in (output, csv_file):  # what is read is refused above, and not to be removed
+        if file is not None and str(file) != "-":
+            require_free(file)
     rows, most = prod(table.sizes.values()), 1_048_575  # in a spreadsheet, with one of names
     if csv_file and rows > most:
         raise click.UsageError(

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from jaxstab.durable import named_errors, replacing, write_all
+from jaxstab.durable import named_errors, replacing, require_no_output, write_all
 
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset
@@ -135,6 +135,7 @@ def write(table: "Dataset", path: Path) -> None:
 def read(path: Path) -> "Dataset":
     """Return the table in a file, whole; OSError: it cannot be read; ValueError: it is no table."""
     xarray = xarray_module()
+    require_no_output(path)
     with named_errors("read", path), path.open("rb"):
         pass
     unreadable = AttributeError, IndexError, KeyError, OSError, RuntimeError, TypeError, ValueError
