@@ -226,6 +226,12 @@ def test_options_go_before_the_values_of_a_file(tmp_path: Path) -> None:
         (["limits", *PHANTOM, "--hand-mass", "2:x"], "neither a number nor LOW:HIGH"),
         (["limits", "nowhere.toml"], "cannot read nowhere.toml"),
         (["limits", "--damping", "1"], "device.mass is missing"),
+        (["limits", "--rate", "0", *PHANTOM], "--rate is 0; give a finite number > 0 in Hz."),
+        (["limits", "--rate", "inf", *PHANTOM], "--rate is inf; give a finite number > 0 in Hz."),
+        (
+            ["limits", "--mass", "1", "--rate", "1000", "--sample-time", "1e-3"],
+            "--rate is 1000 beside --sample-time; give one of them.",
+        ),
         (["design", *PHANTOM], "wanted.stiffness is missing"),
         (["design", JOINT], "give the stiffness to design for in N m/rad."),
         (["contact", JOINT], "give contact.push in N m, or contact.speed in rad/s (on"),

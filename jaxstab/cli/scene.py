@@ -5,6 +5,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import Field, fields
 from functools import cache, partial
+from math import inf
 from pathlib import Path
 from types import UnionType
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
@@ -190,10 +191,13 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
             chosen.setdefault(section, {})[entry.name] = given[option]
     if "velocity" in chosen:  # in place of all that the file says
         chosen.setdefault("controller", {})["velocity"] = chosen.pop("velocity")
-    if given.get("rate") is not None:
-        if "sample_time" in chosen.get("controller", {}) or not given["rate"] > 0.0:
-            raise click.UsageError("--rate is not above 0, or beside --sample-time; give one.")
-        chosen.setdefault("controller", {})["sample_time"] = 1.0 / given["rate"]
+    rate = given.get("rate")
+    if rate is not None:
+        if not 0.0 < rate < inf:
+            raise click.UsageError(f"--rate is {rate:g}; give a finite number > 0 in Hz.")
+        if "sample_time" in chosen.get("controller", {}):
+            raise click.UsageError(f"--rate is {rate:g} beside --sample-time; give one of them.")
+        chosen.setdefault("controller", {})["sample_time"] = 1.0 / rate
     named = [*given.get("wall", ())]
     if given.get("gains"):
         table = {name: own for name, own in table.items() if name != "walls"}
