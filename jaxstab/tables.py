@@ -14,7 +14,7 @@ from io import StringIO
 from math import inf, isfinite
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 from jaxstab.conventions import AXES
 from jaxstab.durable import require_no_output
@@ -168,6 +168,9 @@ def unit_of(entry: Field[Any]) -> str:
 class Table:
     """A checked table of a file; ValueError on the first value that is not allowed."""
 
+    has_options: ClassVar[bool] = True
+    """False where the options of the keys are those of another table."""
+
     def __post_init__(self) -> None:
         _checked_values(type(self), vars(self))
 
@@ -181,7 +184,7 @@ class Table:
             values = _checked_values(cls, cls.filled_in(table))
             for entry in fields(cls):
                 if entry.name not in values and entry.default is MISSING:
-                    raise ValueError(f"{entry.name} is missing; give it a value.")
+                    raise ValueError(f"{entry.name} is missing; give it {cls.asked(entry.name)}.")
             return cls(**values)
         except ValueError as error:
             raise ValueError(_path(place, str(error))) from None
@@ -190,6 +193,14 @@ class Table:
     def filled_in(cls, table: Mapping[str, Any]) -> Mapping[str, Any]:
         """Return a table with its values expanded."""
         return table
+
+    @classmethod
+    def asked(cls, name: str) -> str:
+        """The words for a key that is missing: its unit, and its option if it has one."""
+        entry = cls.__dataclass_fields__[name]
+        words = "a value" if unit_of(entry) == "1" else f"in {unit_of(entry)}"
+        is_option = entry.metadata["words"] and cls.has_options
+        return f"{words} (--{name.replace('_', '-')})" if is_option else words
 
     def quantities(self, place: str) -> Iterator[tuple[str, float, str, Usual]]:
         """Yield name, value, unit and usual range of each quantity, those inside included."""

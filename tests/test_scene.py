@@ -87,7 +87,7 @@ def test_a_device_of_which_no_mass_is_known_asks_for_one() -> None:
     [
         ("device.mas", 1.0, "device.mas is unknown; did you mean 'mass'?"),
         ("contoller", {}, "contoller is unknown; did you mean 'controller'?"),
-        ("walls.a.stiffness", 1.0, "walls.a.damping is missing; give it a value."),
+        ("walls.a.stiffness", 1.0, "walls.a.damping is missing; give it in N s/m."),
         ("walls.a.stifness", 1.0, "walls.a.stifness is unknown; did you mean 'stiffness'?"),
         (
             "walls.a",
@@ -233,7 +233,18 @@ def test_a_device_of_which_no_mass_is_known_asks_for_one() -> None:
             "controller.delay is 60000 samples of 0.001 s; give at most 500 samples, "
             "or a longer sample_time; one in samples is given as delay_samples.",
         ),
-        ("controller", {}, "controller.sample_time is missing; give it a value."),
+        ("controller", {}, "controller.sample_time is missing; give it in s (--sample-time)."),
+        (
+            "device",
+            {"damping": 0.1},
+            "device.mass is missing; give it in kg (--mass), or inertia in kg m^2 (--inertia) for "
+            "a device that turns.",
+        ),
+        (
+            "device",
+            {"inertia": 0.1},
+            "device.damping is missing; give it in N m s/rad (--damping).",
+        ),
         ("wanted.measures", ["margin"], "wanted.measures.0 is 'margin'; did you mean 'margins'?"),
         ("wanted.measures", "margins", "wanted.measures is 'margins'; give a list."),
     ],

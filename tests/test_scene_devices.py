@@ -289,7 +289,7 @@ def test_a_scene_that_turns_has_the_limits_of_one_that_moves_along_a_line() -> N
         ),
         (
             "[hand.grip]\ndamping = 3.0",
-            "hand.grip.stiffness is missing; give it a value.",
+            "hand.grip.stiffness is missing; give it in N/m.",
         ),
         (
             "modes = [{ frequency = 35.0, damping_ratio = 0.05, modal_mass = -0.0008 }]\n"

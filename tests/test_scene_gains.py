@@ -513,7 +513,10 @@ WALLS: Tables = {"device": DEVICE["device"], "controller": {"sample_time": 1e-3}
 REFUSED = [
     (loop({"inertia": 0.1}), "loop.kind is None; give simulator, admittance, pid, coupling."),
     (loop({"kind": "simulater"}), "loop.kind is 'simulater'; did you mean 'simulator'?"),
-    (loop({"kind": "simulator", "step": 1e-3}), "loop.inertia is missing; give it a value."),
+    (
+        loop({"kind": "simulator", "step": 1e-3}),
+        "loop.inertia is missing; give it in kg m^2 (--set loop.inertia=...).",
+    ),
     (loop(JOINT | {"substep": 4}), "loop.substep is unknown; did you mean 'substeps'?"),
     (
         loop(JOINT | {"inertia": -1.0}),
@@ -523,7 +526,7 @@ REFUSED = [
     (loop(JOINT, at_mass=1.0), "wanted.at_mass is unknown"),
     (loop(JOINT) | {"device": WALLS["device"]}, "device is unknown"),
     (loop(JOINT) | {"walls": {}}, "walls is unknown; give [gains.NAME] beside [loop]."),
-    (loop(JOINT) | {"gains": {"a": {"kp": 1.0}}}, "gains.a.kd is missing; give it a value."),
+    (loop(JOINT) | {"gains": {"a": {"kp": 1.0}}}, "gains.a.kd is missing; give it in N m s/rad."),
     (
         loop(JOINT) | {"gains": {"a": {"kp": 1.0, "kd": -1.0}}},
         "gains.a.kd is -1.0; give a finite number >= 0 in N m s/rad.",
@@ -538,7 +541,7 @@ REFUSED = [
     (pid({}), "give one of kp, ki and kd"),
     (pid({"kp": 1.0, "ki": 1.0}), "give one of kp, ki and kd"),
     (pid({"kd": 1.0}, {**DEVICE, "hand": {"mass": [0.0, 1.0]}}), "is a range"),
-    (couple({"mass": 0.5}, 1.0, 0.0), "loop.second.damping is missing; give it a value."),
+    (couple({"mass": 0.5}, 1.0, 0.0), "loop.second.damping is missing; give it in N s/m."),
     (couple({"inertia": 0.5, "damping": 0.1}, 1.0, 0.0), "moves in another way"),
     # Keys of other loops in a scene of walls.
     ({**WALLS, "controller": {"sample_time": 1e-3, "ki": 1.0}}, '[loop] with kind = "pid"'),

@@ -17,7 +17,7 @@ from decimal import ROUND_CEILING, ROUND_FLOOR
 from functools import cache, partial
 from inspect import Parameter, signature
 from math import inf, isfinite, isnan, nan
-from typing import Any
+from typing import Any, ClassVar
 
 from jaxstab import loop as doors
 from jaxstab import model
@@ -61,11 +61,15 @@ _DOORS: Mapping[str, tuple[Any, tuple[str, ...]]] = {
     "coupling": (doors.coupling, ("first", "sample_time", "delays_samples", "velocity")),
 }
 """The function of each kind of loop, and what it takes from the tables of a held device."""
+_UNITS = {"inertia": "kg m^2", "step": "s", "environment": "N/m", "sample_time": "s"}
+"""Of the keys of [loop] that some loop needs."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class OtherDevice(Device):
     """The second device of a coupling, with its hand and its delay."""
+
+    has_options: ClassVar[bool] = False
 
     hand: Hand | None = t.key(t.nested(Hand), None)
     delay_samples: float = t.key(t.quantity("samples"), 0.0)
@@ -80,7 +84,8 @@ def _loop(table: Any, held: Scene | None) -> tuple[Loop, tuple[float, float]]:
     t.check_keys("loop", given, [*keys])
     for name, own in keys.items():
         if own.default is Parameter.empty and name not in given:
-            raise ValueError(f"loop.{name} is missing; give it a value.")
+            words = f"it in {_UNITS[name]} (--set loop.{name}=...)" if name in _UNITS else None
+            raise ValueError(f"loop.{name} is missing; give {words or f'a table [loop.{name}]'}.")
     if "outside" in given:
         t.checked("loop.outside", given["outside"], t.truth)
     for name in {"robot", "force_filter"} & given.keys():
@@ -98,7 +103,11 @@ def _loop(table: Any, held: Scene | None) -> tuple[Loop, tuple[float, float]]:
     if held and "loop" in provided:
         given["loop"] = loop_of(held)
     elif held:
-        controller, second = held.controller, OtherDevice.from_table(given["second"], "loop.second")
+        controller = held.controller
+        try:
+            second = OtherDevice.from_table(given["second"], "loop.second")
+        except ValueError as error:
+            raise ValueError(held.units.translated(str(error))) from None
         other = _single(replace(held, device=second, hand=second.hand))
         if other.units is not held.units or controller.position is not None:
             raise ValueError(

@@ -101,7 +101,6 @@ def folder_of(name: str) -> Traversable:
 LENGTH = "m, or in rad for a device that turns"
 FORCE = "N, or in N m for a device that turns"
 _DELAYS = t.Usual(0.0, 2.0)  # in s
-_NO_MASS = "mass is missing; give it a value."
 _STIFFNESS = t.Usual(0.0, 1e6, (0.0, 1e5))  # of hands, grips and walls
 _DAMPING_OF_HANDS = t.Usual(0.0, 1e3, (0.0, 100.0))
 
@@ -195,7 +194,7 @@ class Device(t.Table):
                 "a line, or inertia for one that turns."
             )
         if self.mass is None and self.inertia is None:
-            raise ValueError(_NO_MASS)
+            raise ValueError(self._no_mass())
         for index, mode in enumerate(self.modes):
             if (mode.modal_inertia is None) != (self.inertia is None):
                 own, other = ("mass", "inertia") if self.inertia is None else ("inertia", "mass")
@@ -210,16 +209,23 @@ class Device(t.Table):
         preset = presets("devices").get(str(table["preset"])) if "preset" in table else None
         if preset is None:
             if not {"preset", "mass", "inertia"} & {*table}:
-                raise ValueError(_NO_MASS)
+                raise ValueError(cls._no_mass())
             return table  # a preset that is not known is refused
         defaults = preset.values(("mass", "damping"))
         for name in ("mass", "damping"):
             if name not in defaults and name not in table:
                 raise ValueError(
                     f"{name} is missing; no source has that of the preset {table['preset']!r}, so "
-                    "give it a value."
+                    f"give it {cls.asked(name)}."
                 )
         return {**defaults, **table}
+
+    @classmethod
+    def _no_mass(cls) -> str:
+        return (
+            f"mass is missing; give it {cls.asked('mass')}, or inertia {cls.asked('inertia')} for "
+            "a device that turns."
+        )
 
     @property
     def units(self) -> Units:
