@@ -8,6 +8,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import MISSING, Field, dataclass, field, fields
 from difflib import get_close_matches
 from io import StringIO
@@ -178,7 +179,7 @@ class Table:
     def from_table(cls: type[Made], table: Any, place: str = "") -> Made:
         """Check a table of a file at a place; ValueError on the first bad key."""
         if not isinstance(table, Mapping):
-            raise ValueError(f"{place} is {shortened(table)}; give a table.")
+            raise ValueError(f"{place} is {shortened(table)}; {_example(cls, table)}.")
         check_keys(place, table, [entry.name for entry in fields(cls)])
         try:
             values = _checked_values(cls, cls.filled_in(table))
@@ -397,13 +398,22 @@ def nested(kind: type["Table"]) -> Check:
         if isinstance(value, kind):
             return value
         if not isinstance(value, Mapping):
-            raise ValueError("give a table")
+            raise ValueError(_example(kind, value))
         try:
             return kind.from_table(value)
         except ValueError as error:
             raise _Sentence(str(error)) from None
 
     return check
+
+
+def _example(kind: type[Table], value: Any) -> str:
+    """Ask for a table, with what is given in its place as the first value that it may be."""
+    for entry in fields(kind):
+        with suppress(ValueError):
+            entry.metadata["check"](value)
+            return f"give a table, such as {{ {entry.name} = {shortened(value)} }}"
+    return f"give a table, such as {{ {fields(kind)[0].name} = ... }}"
 
 
 def each(check: Check) -> Check:

@@ -116,7 +116,9 @@ def test_a_device_of_which_no_mass_is_known_asks_for_one() -> None:
             "device.mass is True; give a finite number > 0 in kg, or [lowest, highest].",
         ),
         ("device.preset", "phantm", "device.preset is 'phantm'; did you mean 'phantom'?"),
-        ("device", 3, "device is 3; give a table."),
+        ("device", 3, "device is 3; give a table, such as { mass = 3 }."),
+        ("device", "omega", "device is 'omega'; give a table, such as { preset = 'omega' }."),
+        ("hand", "soft", "hand is 'soft'; give a table, such as { mass = ... }."),
         (
             "device.inertia",
             0.1,
@@ -134,7 +136,11 @@ def test_a_device_of_which_no_mass_is_known_asks_for_one() -> None:
             "hand.inertia is [0.1, 0.1] beside device.mass; give hand.mass in kg, or "
             "device.inertia.",
         ),
-        ("controller.velocity", 3, "controller.velocity is 3; give a table."),
+        (
+            "controller.velocity",
+            3,
+            "controller.velocity is 3; give a table, such as { window_samples = 3 }.",
+        ),
         (
             "controller.velocity.windw",
             0.02,

@@ -257,7 +257,7 @@ def test_a_scene_that_turns_has_the_limits_of_one_that_moves_along_a_line() -> N
     ("given", "words"),
     [
         ("modes = 3", "device.modes is 3; give a list."),
-        ("modes = [3]", "device.modes.0 is 3; give a table."),
+        ("modes = [3]", "device.modes.0 is 3; give a table, such as { frequency = 3 }."),
         ("modes.frequency = 80.0", "device.modes is {'frequency': 80.0}; give a list."),
         (
             "modes = [{ frequency = 0.0, damping_ratio = 0.1, modal_mass = 1.0 }]",
