@@ -218,6 +218,7 @@ class Table:
 
 _WALL = "give the stiffness or the damping of a wall, [walls.NAME]."
 _PID = 'an integrator is another loop: give [loop] with kind = "pid" and one of kp, ki and kd.'
+_NONE = "this kind of [loop] has none: leave out"
 _INSTEAD = {
     "controller": {
         "kp": _WALL,
@@ -230,7 +231,12 @@ _INSTEAD = {
         "time_constant": "give cutoff, which is 1/(2 pi time_constant) in Hz.",
         "velocity": "give [controller.velocity].",
         "gains": "give [walls.NAME], or [loop] for another loop than that of a wall.",
-        "walls": "give [gains.NAME] beside [loop].",
+        "walls": "give [gains.NAME] beside [loop] (--set gains.NAME.KEY=VALUE), and no --wall.",
+        "device": f"{_NONE} [device] and --device, --mass, --inertia and --damping.",
+        "hand": f"{_NONE} [hand] and --hand-mass, --hand-inertia, --hand-stiffness and "
+        "--hand-damping.",
+        "controller": f"{_NONE} [controller], --rate, --sample-time, --delay and the like; times "
+        "are keys of [loop] (--set loop.KEY=VALUE).",
     },
 }
 """What to give in place of keys of other programs or loops, by the table in which they stand."""

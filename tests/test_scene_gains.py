@@ -525,7 +525,11 @@ REFUSED = [
     (loop(JOINT | {"integrator": "rk4"}), "not affine in the gains"),
     (loop(JOINT, at_mass=1.0), "wanted.at_mass is unknown"),
     (loop(JOINT) | {"device": WALLS["device"]}, "device is unknown"),
-    (loop(JOINT) | {"walls": {}}, "walls is unknown; give [gains.NAME] beside [loop]."),
+    (
+        loop(JOINT) | {"walls": {}},
+        "walls is unknown; give [gains.NAME] beside [loop] (--set gains.NAME.KEY=VALUE), and no "
+        "--wall.",
+    ),
     (loop(JOINT) | {"gains": {"a": {"kp": 1.0}}}, "gains.a.kd is missing; give it in N m s/rad."),
     (
         loop(JOINT) | {"gains": {"a": {"kp": 1.0, "kd": -1.0}}},
@@ -569,6 +573,17 @@ def test_54_what_is_wrong_is_said_in_one_sentence(
     assert done.stdout == ""
     assert_one_sentence(done.stderr)
     assert words in done.stderr
+
+
+@pytest.mark.parametrize(
+    "given",
+    [["--mass", "3"], ["--rate", "500"], ["--hand-stiffness", "3"], ["--wall", "a", "3", "1"]],
+)
+def test_an_option_that_is_not_of_the_loop_is_named(given: list[str], tmp_path: Path) -> None:
+    done = run("check", file_of(tmp_path, loop(JOINT)), *given)
+    assert done.exit_code == 2
+    assert_one_sentence(done.stderr)
+    assert given[0] in done.stderr
 
 
 @pytest.mark.parametrize(
