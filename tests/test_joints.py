@@ -321,7 +321,7 @@ def test_55_urdf_is_read_without_its_meshes_and_slides_have_units_of_their_own(
     tmp_path: Path,
 ) -> None:
     (tmp_path / "lift.urdf").write_text(URDF)
-    (tmp_path / "gains.yaml").write_text("slide: {kp: 1e3, kd: 60.0}\n")  # 1e3 is a text to YAML
+    (tmp_path / "gains.yaml").write_text("slide: {kp: 1e3, kd: 60.0}\n")  # 1e3 is a text to PyYAML
     command = [
         "joints",
         tmp_path / "lift.urdf",
@@ -426,11 +426,16 @@ PLAIN = {
         (["--simulated", "--rate", "500", "--jitter", "1e-3"], "simulated"),
         (["--simulated", "--rate", "333"], "whole numbers of steps"),
         (["--rate", "500", "--gains", "none.yaml"], "cannot read none.yaml"),
-        (["--rate", "500", "--gains", "{folder}/bad.yaml"], "not YAML"),
+        (
+            ["--rate", "500", "--gains", "{folder}/bad.yaml"],
+            "bad.yaml, line 1, column 14 is not YAML: ",
+        ),
         (["--rate", "500", "--gains", "{folder}/list.yaml"], "kp and kd by the names of joints"),
         (["--rate", "500", "--gains", "{folder}/slip.yaml"], "give elbow, for instance"),
         (["--rate", "500", "--gains", "{folder}/half.yaml"], "give kp and kd"),
         (["--rate", "500", "--gains", "{folder}/word.yaml"], "kp of elbow"),
+        (["--rate", "500", "--gains", "{folder}/text.yaml"], "kp of elbow is '60'; give real"),
+        (["--rate", "500", "--gains", "{folder}/odd.yaml"], "odd.yaml is not YAML: special"),
         (["--rate", "500", "--gains", "{folder}/twice.yaml"], "gives 'elbow' twice"),
         (["--rate", "500", "--gains", "{folder}/inner.yaml"], "gives 'kp' twice"),
         (["--rate", "500", "--safe-gains", "safe.txt"], "ends in neither .yaml nor .yml"),
@@ -445,6 +450,8 @@ def test_55_bad_input_is_one_sentence(options: list[str], words: str, tmp_path: 
         "inner": "elbow: {kp: 1, kd: 1, kp: 2}",
         "half": "elbow: {kp: 1}",
         "word": "elbow: {kp: soft, kd: 1}",
+        "text": "elbow: {kp: '60', kd: 1}",
+        "odd": "elbow: \x01",
     }
     for name, text in files.items():
         (tmp_path / f"{name}.yaml").write_text(text)

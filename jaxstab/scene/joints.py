@@ -4,6 +4,7 @@ The file is read by MuJoCo (``scene.robots``), each joint is judged alone (``loo
 are gravity, and that other joints are controlled at the same time.
 """
 
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
@@ -146,16 +147,9 @@ def _checked_gains(gains: Any, names: list[str]) -> dict[str, PD]:
             )
         if not isinstance(pair, Mapping) or {*pair} != {"kp", "kd"}:
             raise ValueError(f"the gains of {name} are {shortened(pair)}; give kp and kd.")
-        kp, kd = (_number(f"{key} of {name}", pair[key]) for key in ("kp", "kd"))
+        kp, kd = (checked_number(f"{key} of {name}", pair[key], 0.0) for key in ("kp", "kd"))
         checked[name] = kp, kd
     return checked
-
-
-def _number(name: str, value: Any) -> float:
-    """A gain, also as the text that YAML makes of 1e3, without a point and a sign."""
-    with suppress(ValueError):
-        value = float(value) if isinstance(value, str) else value
-    return checked_number(name, value, 0.0)
 
 
 def read_gains(file: str | PathLike[str]) -> Any:
@@ -172,10 +166,16 @@ def read_gains(file: str | PathLike[str]) -> Any:
                     raise ValueError(f"{file} gives {shortened(name)} twice; give each key once.")
             return super().construct_mapping(node, deep)
 
+    # PyYAML takes 1e3, without a point and a sign, for a text.
+    number = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+")
+    Once.add_implicit_resolver("tag:yaml.org,2002:float", number, [*"-+.0123456789"])
     try:
         return yaml.load(text_of(file, MOST_BYTES), Once) or []  # which are no gains
-    except yaml.YAMLError as error:
-        raise ValueError(f"{file} is not YAML: {' '.join(str(error).split())}.") from error
+    except yaml.reader.ReaderError as error:
+        raise ValueError(f"{file} is not YAML: {error.reason}.") from error
+    except yaml.MarkedYAMLError as error:
+        place = f"line {error.problem_mark.line + 1}, column {error.problem_mark.column + 1}"
+        raise ValueError(f"{file}, {place} is not YAML: {error.problem}.") from error
 
 
 Inertia = Annotated[float, Quantity("kg", 4, ROUND_CEILING)]
