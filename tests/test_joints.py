@@ -301,6 +301,13 @@ def test_55_a_joint_without_gains_is_not_called_stable() -> None:
     answer = jaxstab.joints(arm(), rate=500.0)
     assert [joint.verdict for joint in answer.joints.values()] == ["no gains"] * 2
     assert not answer.all_stable
+    assert str(answer).splitlines()[-1] == (
+        "Give kp and kd by joints (--gains FILE); --safe-gains FILE writes safe ones."
+    )
+    assert "proved" not in str(answer)
+    one = str(jaxstab.joints(arm(), rate=500.0, gains={"elbow": {"kp": 1.0, "kd": 0.1}}))
+    assert "Give kp" not in one
+    assert "Stable, growth: proved" in one
 
 
 URDF = """

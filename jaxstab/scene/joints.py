@@ -180,6 +180,7 @@ def read_gains(file: str | PathLike[str]) -> Any:
 
 Inertia = Annotated[float, Quantity("kg", 4, ROUND_CEILING)]
 _AT_ENDS = "at both ends of its range"
+_NO_GAINS = "no gains"
 
 
 @dataclass(frozen=True)
@@ -316,13 +317,18 @@ class Joints(Answer):
         at_ends += [f"growth of {x}" for x, own in self.joints.items() if own.growth_is == _AT_ENDS]
         rows = [[name, *map(own._cell, names)] for name, own in self.joints.items()]
         robot, loop, sampled = self.inputs.values.values()
+        notes = []
+        if "kp_growth" in given:
+            notes = ["Stable, growth: proved for every inertia of the range, one joint at a time."]
+        elif any(own.verdict == _NO_GAINS for own in answers):
+            notes = ["Give kp and kd by joints (--gains FILE); --safe-gains FILE writes safe ones."]
         return "\n".join(
             [
                 f"{robot}: {loop}",
                 table_text([["joint", *(name.replace("_", " ") for name in names)], *rows]),
                 "Turning in kg m^2, N m/rad, N m s/rad and N m, sliding in kg, N/m, N s/m and N.",
                 f"Inertia: sampled {sampled}.",
-                "Stable, growth: proved for every inertia of the range, one joint at a time.",
+                *notes,
                 *([f"Of both ends of the range alone: {', '.join(at_ends)}."] if at_ends else []),
             ]
         )
@@ -335,7 +341,7 @@ def _answer(question: JointLoop) -> JointAnswer:
     joint, has_gains = question.joint, any(question.gains)
     motion, inertia = "turns" if joint.turns else "slides", (joint.least, joint.greatest)
     kp, kd = question.gains if has_gains else (None, None)
-    words = joint.reason or "no gains"
+    words = joint.reason or _NO_GAINS
     answer = JointAnswer(motion, inertia, joint.damping, joint.friction, kp, kd, words)
     if joint.reason or not has_gains:
         return answer
