@@ -34,7 +34,20 @@ def plot_open_loop(
     near = np.outer(found, 1.0 + np.linspace(-0.02, 0.02, 41)).ravel()
     frequencies = np.unique([*np.geomspace(lowest, highest, 800), *near, *found])
     frequencies = np.clip(frequencies, lowest, highest)
-    values = response(np.minimum(2.0 * np.pi * period * frequencies, np.pi))
+
+    def at(hertz: Floats) -> Complex:
+        return response(np.minimum(2.0 * np.pi * period * hertz, np.pi))
+
+    values = at(frequencies)
+    for _ in range(2):  # next to a resonance L moves fast
+        is_far = np.abs(np.diff(values)) > 0.03 * (1.0 + np.abs(values[:-1]))
+        if not is_far.any():
+            break
+        shares = np.linspace(0.0, 1.0, 8, endpoint=False)[1:]
+        steps = np.diff(frequencies)[is_far, None]
+        more = (frequencies[:-1][is_far, None] + shares * steps).ravel()
+        frequencies, order = np.unique(np.append(frequencies, more), return_index=True)
+        values = np.append(values, at(more))[order]
     (_draw_plane if is_plane else _draw_magnitudes)(panel, frequencies, values)
     peak = float(margins.sensitivity.value)
     if is_plane and not isnan(peak):
@@ -61,7 +74,7 @@ def plot_open_loop(
 
 
 def _decibels(values: complex | Complex) -> Floats:
-    return np.asarray(20.0 * np.log10(np.maximum(np.abs(values), 1e-4)))
+    return np.asarray(20.0 * np.log10(np.maximum(np.abs(values), 1e-300)))
 
 
 def _draw_plane(panel: Axes, _: Floats, values: Complex) -> None:
@@ -75,7 +88,7 @@ def _draw_plane(panel: Axes, _: Floats, values: Complex) -> None:
 
 
 def _draw_magnitudes(panel: Axes, frequencies: Floats, values: Complex) -> None:
-    legend_room = 0.6  # of the height, below
+    legend_room, lowest = 0.6, -80.0  # of the height, below; in dB: lines leave the axes there
     lines = (BLUE, "-", "|L|", values), (RED, "-", "|S|", 1 / (1 + values))
     for colour, style, name, size in (*lines, (GREEN, "--", "|T|", values / (1 + values))):
         panel.semilogx(frequencies, _decibels(size), style, color=colour, lw=1.2, label=name)
@@ -84,6 +97,7 @@ def _draw_magnitudes(panel: Axes, frequencies: Floats, values: Complex) -> None:
     beside, phase = panel.twinx(), np.degrees(np.unwrap(np.angle(values)))
     beside.plot(frequencies[:-1], phase[:-1], ":", color=ORANGE, lw=1.4)  # L may be 0 at the last
     beside.set_ylabel("phase of L (degrees), dotted", color=OCHRE)
+    panel.set_ylim(bottom=max(panel.get_ylim()[0], lowest))
     for axes in (panel, beside):
         low, high = axes.get_ylim()
         axes.set_ylim(low - legend_room * (high - low), high)
