@@ -89,7 +89,7 @@ def test_intervals_contain_the_truth() -> None:
 @pytest.mark.campaign
 @pytest.mark.parametrize("name", some(DEVICES, 3))
 def test_intervals_contain_the_truth_in_90_of_100_logs(name: str) -> None:
-    assert_covered(DEVICES[name], many(100, 3))
+    assert_covered(DEVICES[name], many(100, 4))
 
 
 def test_a_mass_without_friction_is_found_to_rounding() -> None:

@@ -329,7 +329,7 @@ def plant_derivatives(point: tuple[float, float], variable: int, fraction: float
 
     def coefficients(value: mpf) -> truth.Plant:
         gamma, delta = (value if k == variable else mpf(x) for k, x in enumerate(point))
-        return truth.plant(gamma, delta, mpf(fraction), mp.dps)
+        return truth.sampled_plant(gamma, delta, mpf(fraction))
 
     with mp.workdps(100):
         return [mp.diff(lambda x, k=k: coefficients(x)[k], point[variable]) for k in range(7)]
