@@ -53,7 +53,7 @@ def main(small: bool, points: int | None = None) -> int:
     """Print what the attacks found, and the table; the number of wrong verdicts."""
     rng = np.random.default_rng(34)
     counts: Counter[str] = Counter()
-    for _ in range(4 if small else points or 300):
+    for _ in range(2 if small else points or 300):
         counts.update(judged(random_case(rng), rng))
     wrong = counts["STABLE that grow"] + counts["UNSTABLE that decay"] + counts["constant, differ"]
     print(", ".join(f"{name}: {count:,}" for name, count in sorted(counts.items())))

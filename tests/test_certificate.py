@@ -83,7 +83,7 @@ def test_claims_are_confirmed(seed: int, reader: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.campaign
-@pytest.mark.parametrize("seed", range(100, 100 + many(1000, 40)))
+@pytest.mark.parametrize("seed", range(100, 100 + many(1000, 25)))
 def test_claims_are_confirmed_at_large(seed: int, reader: Any, tmp_path: Path) -> None:
     assert said_of(reader, certificate(Scene.from_table(scene(seed))), tmp_path) == 0
 

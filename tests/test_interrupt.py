@@ -105,7 +105,7 @@ def test_51_ctrl_c_ends_a_command(name: str, seconds: float, tmp_path: Path) -> 
 @pytest.mark.campaign
 def test_ctrl_c_at_any_moment_ends_a_command_within_3_s(tmp_path: Path) -> None:
     rng = np.random.default_rng(53)
-    for k in range(many(300, 6)):
+    for k in range(many(300, 4)):
         folder = tmp_path / str(k)
         folder.mkdir()
         command = [*COMMANDS.values()][k % len(COMMANDS)]

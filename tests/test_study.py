@@ -488,7 +488,7 @@ def test_random_studies_have_the_answers_of_single_loops() -> None:
         }
         walls = {"a": (10 ** rng.uniform(2, 4.5), 10 ** rng.uniform(0, 2)), "b": (500.0, 5.0)}
         study = jaxstab.study(
-            table, over, walls=walls, samples=many(170, 40), seed=int(rng.integers(1000))
+            table, over, walls=walls, samples=many(170, 20), seed=int(rng.integers(1000))
         )
         for delay in range(3):
             for draw in range(study.sizes["sample"]):
