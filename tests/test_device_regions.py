@@ -189,3 +189,12 @@ def test_rows_where_several_roots_leave_the_circle_are_right() -> None:
     truth = [loop.balls.is_stable(*wall) for wall in zip(alpha.ravel(), beta.ravel(), strict=True)]
     assert loop.region().contains(alpha, beta).ravel().tolist() == truth
     assert 0.2 < np.mean(np.array(truth)) < 0.5
+
+
+def test_a_region_that_is_small_beside_its_units_is_right_at_its_edge() -> None:
+    """Of a heavy mode that walls hardly move: float64 has 1e-7 of the region's size left."""
+    loop = DeviceLoop.drawn(np.random.default_rng([20121120, 3977]))
+    walls = [(5.1340083706774335e-08, -1.6237927167061268e-06)]
+    walls += [(2.7555553677657516e-14, -9.225851199260192e-13)]
+    truth = [loop.balls.is_stable(*wall) for wall in walls]
+    assert loop.region().contains(*np.transpose(walls)).tolist() == truth == [False, True]
