@@ -9,7 +9,7 @@ import pytest
 from atlases import write_small
 from commands import POINT, START, assert_one_sentence, run
 
-from jaxstab import AtlasSpec, Verdict, build_atlas, durable
+from jaxstab import AtlasSpec, Verdict, build_atlas, durable, open_atlas
 
 CSV = "alpha,beta,gamma,delta,delay\n"
 
@@ -148,7 +148,7 @@ def checks():
     return [open_atlas(sys.argv[1]).fields["outside"].size > 0]
 
 assert all(checks())
-found = {"right": 0, "wrong": 0, "memory": 0}
+found = {"right": 0, "damaged": 0, "memory": 0}
 _, most = resource.getrlimit(resource.RLIMIT_AS)
 for more in [*range(0, 3_000_000, 100_000), *(10**6 * 2**k for k in range(2, 9))]:
     # Each limit in a process of its own: libhdf5 may be of no use after memory ran short.
@@ -157,9 +157,12 @@ for more in [*range(0, 3_000_000, 100_000), *(10**6 * 2**k for k in range(2, 9))
         taken = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (taken + more, most))
         try:
-            answer = "right" if all(checks()) else "wrong"
+            answer = "right" if all(checks()) else "damaged"
         except MemoryError:
             answer = "memory"
+        except Exception as error:
+            print(type(error), error, file=sys.stderr)
+            answer = "damaged"
         os._exit([*found].index(answer))
     _, status = os.waitpid(child, 0)
     found[[*found][os.waitstatus_to_exitcode(status)]] += 1  # a crash has no index
@@ -179,10 +182,22 @@ def test_28_a_good_file_is_not_called_damaged_where_memory_runs_short() -> None:
         text=True,
     )
     assert done.returncode == 0, done.stderr
-    right, wrong, memory = map(int, done.stdout.split())
-    assert wrong == 0
-    assert right > 0
-    assert memory > 0
+    right, damaged, memory = map(int, done.stdout.split())
+    assert (damaged, right > 0, memory > 0) == (0, True, True), done.stderr
+
+
+@pytest.mark.parametrize(
+    "error", [MemoryError(), SystemError("error return without exception set")]
+)
+def test_an_error_that_lacked_memory_is_named(
+    error: Exception, path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def short(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr("jaxstab.atlas.file.h5py.File", short)
+    with pytest.raises(MemoryError, match=f"there is not enough memory to read {path}"):
+        open_atlas(path)
 
 
 def test_31_a_pipe_is_not_waited_for(path: Path, tmp_path: Path) -> None:

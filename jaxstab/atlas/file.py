@@ -394,7 +394,7 @@ def opened(path: Path) -> Iterator[h5py.File]:
             file = stack.enter_context(h5py.File(stream, "r"))
             _check_head(path, file)
             yield file
-        except MemoryError:
+        except (MemoryError, SystemError):  # an extension raises this if no error can be made
             raise MemoryError(f"there is not enough memory to read {path}.") from None
         except _ForeignError:
             raise
