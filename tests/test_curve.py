@@ -20,6 +20,7 @@ from jaxstab.model import Filter, LoopParameters, Velocity, by_name
 from jaxstab.region import RegionStatus, StableRegion, stable_region
 from jaxstab.region.curve import (
     Curve,
+    curve_errors,
     curve_gains,
     curve_of,
     drawn_angles,
@@ -60,6 +61,22 @@ def test_walls_of_the_curve_have_roots_at_its_angles(number: int) -> None:
     size = np.max(np.abs(true), axis=0)
     assert np.max(np.abs(curve_gains(c, ANGLES) - true) / size) < 1e-11
     assert curve_gains(c, -ANGLES).tolist() == curve_gains(c, ANGLES).tolist()
+
+
+@pytest.mark.parametrize("number", [*LOOPS[:8], *SLOW])
+@pytest.mark.parametrize("kind", [MassLoop, DeviceLoop])
+def test_rounding_moves_the_curve_by_less_than_is_said(
+    kind: type[MassLoop | DeviceLoop], number: int
+) -> None:
+    loop = kind.drawn(np.random.default_rng([20121120, number]))
+    c = loop.region().curve
+    ends = np.geomspace(1e-7, 1e-2, 4)
+    angles = np.concatenate([ends, ANGLES, np.pi - ends])
+    drawn_out = [stretch.holds(angles) for stretch in c.stretches]
+    angles = angles[~np.any([angles < 0.0, *drawn_out], axis=0)]
+    off, errors = curve_gains(c, angles) - walls(loop.balls, angles), curve_errors(c, angles)
+    assert np.all(np.abs(off) <= errors)
+    assert np.median(errors / np.abs(curve_gains(c, angles))) < 1e-10
 
 
 @pytest.mark.parametrize("number", [*LOOPS, *SLOW])

@@ -45,6 +45,7 @@ from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.rounding import UNIT
 
 Angles = Float64[np.ndarray, " _"]
+_TINY = 1e-100  # in place of the angle 0, where quotients have a limit
 
 
 class Stretch(NamedTuple):
@@ -90,6 +91,13 @@ class Stretch(NamedTuple):
         values, slopes = self.series @ columns, (self.series * orders)[:, 1:] @ columns[:-1]
         gains = values[:2] / values[2]
         return gains, (slopes[:2] - gains * slopes[2]) / values[2] * speed
+
+    def errors(self, size: Angles) -> Array:
+        """Return by how much rounding may move the curve at drawn angles: alpha, beta."""
+        columns = self.offsets(size, np.zeros(1))[0] ** np.arange(self.series.shape[1])[:, None]
+        values, lost = self.series @ columns, np.abs(self.series) @ np.abs(columns)
+        lost *= _roundings(self.series.shape[1])
+        return (lost[:2] + np.abs(values[:2] / values[2]) * lost[2]) / np.abs(values[2])
 
     def is_upwards(self, size: Angles) -> Bool[np.ndarray, " angle"]:
         """Where det > 0."""
@@ -286,6 +294,51 @@ def _drawn(
             yield held, turned[held], stretch.gains_and_slopes(size[held], rest[held])
 
 
+def curve_errors(c: Curve, theta: Angles) -> Array:
+    """Return by how much rounding may move the curve at angles, in alpha and in beta, stacked.
+
+    That is to first order: real and imaginary parts may each be off by the roundings of their own
+    terms. Powers k of z and of s turn away from the axes by less than k theta.
+    """
+    orders, size = np.arange(c.straight.shape[1])[:, None], np.abs(theta)
+    is_upper = size > np.pi / 2
+    u = np.maximum(np.where(is_upper, (np.pi - size) + PI_REST, size), _TINY)
+    chord = 2.0 * np.sin(0.5 * u)
+    turned = 1.0 + 1j * np.minimum(orders * u, 1.0)
+    powers = _sizes(chord**orders * turned * np.where(orders % 2 == 0, 1.0, 1j))
+    straight = np.abs(c.straight[:4]) @ turned
+    shifted = np.where(is_upper, *(np.abs(c.shifted[half, :4]) @ powers for half in (1, 0)))
+    is_close = chord < np.where(is_upper, *c.close[::-1, :, None])
+    lost = _roundings(len(orders)) * np.where(is_close, shifted, straight)
+    values = _values(c, theta, 0.0, orders=1)[0]
+    quotient = values[0] / values[1]
+    walls, (_, _, a, b) = np.abs(_crossed(values, quotient)), _sizes(values)
+    off = _size_of_product(lost[0] + _size_of_product(quotient, lost[1]), 1.0 / values[1])
+    off = off + np.sum(walls * lost[2:], axis=0) + _roundings(0) * _sizes(quotient)
+    errors = np.stack([_size_of_product(x, off).imag for x in (b, a)])
+    errors /= np.abs(_cross(*values[2:]))
+    for stretch in c.stretches:
+        held = stretch.holds(size)
+        errors[:, held] = stretch.errors(size[held])
+    return errors
+
+
+def _sizes(value: Array) -> Array:
+    """Return the sizes of real and imaginary parts."""
+    return np.abs(value.real) + 1j * np.abs(value.imag)
+
+
+def _size_of_product(one: Array, other: Array) -> Array:
+    """Return bounds of the sizes of a product's parts."""
+    one, other = _sizes(one), _sizes(other)
+    return (np.conj(one) * other).real + 1j * (one * other).imag
+
+
+def _roundings(terms: int) -> float:
+    """Of the sum of the sizes of complex terms, each with a power that is a product of two more."""
+    return 8.0 * (terms + 1) * UNIT
+
+
 def is_oriented(c: Curve, theta: Angles) -> Bool[np.ndarray, " angle"]:
     """Return where the sign of angles is that of det: the stable side is the left one."""
     _, _, a, b = _values(c, theta, 0.0, orders=1)[0]
@@ -313,13 +366,12 @@ def _cross(one: Array, other: Array) -> Array:
 
 def _values(c: Curve, theta: Array, low: Array | float, orders: int) -> Array:
     """Return the parts (order, part, angle), of conjugate z beyond pi/2; order 1 is by theta."""
-    tiny = 1e-100  # in place of the angle 0, where quotients have a limit
     flat, count, rows = np.ravel(theta), c.straight.shape[1], 4 * orders
     way = np.where(flat < 0.0, -1.0, 1.0)
     size, rest = np.abs(flat), 0.0 if isinstance(low, float) else np.ravel(low) * way
     is_upper = size > np.pi / 2
     u = np.where(is_upper, (np.pi - size) + (PI_REST - rest), size + rest)
-    u = np.where(u == 0.0, tiny, u)
+    u = np.where(u == 0.0, _TINY, u)
     zeta, half_turn, side = np.exp(1j * u), np.exp(0.5j * u), np.where(is_upper, -1.0, 1.0)
     chord = 2.0 * half_turn.imag
     straight = _product(c.straight[:rows], _powers(side * zeta, count))

@@ -131,15 +131,16 @@ def contains(
 
 def _is_inside(c: Curve, outline: Outline, alpha: Array, beta: Array) -> tuple[Array, Array]:
     """True for points that are inside; then True for those too close to the boundary to tell."""
-    # Of the region's size: how close to the boundary balls decide. Where that size is small beside
-    # the units of gains, float64 has been seen to draw the boundary 1e-7 of it off.
-    doubted_share = 1e-6
+    # Of the region's size, beside what rounding may have moved the curve by at most: how close to
+    # the boundary balls decide.
+    doubted_share = 1e-8
     about = 1e-3  # of the same: a vertex at which the boundary runs level
+    between = 4.0  # by how much errors may be larger between vertices
     vertices = outline.vertices
     sizes = np.ptp(vertices, axis=0)
-    close, doubt = doubted_share * sizes[0], doubted_share * sizes
+    doubt = doubted_share * sizes + between * outline.errors
     met, ahead = _met(outline, beta, 1), vertices[:, 0] - alpha[:, None]
-    beyond, behind = ahead > close, ahead <= -close
+    beyond, behind = ahead > doubt[0], ahead <= -doubt[0]
     is_beyond = beyond[:, :-1] & beyond[:, 1:]
     count = np.sum(met & is_beyond, axis=-1)
     turns_here = (abs(ahead) <= about * sizes[0]) & (

@@ -15,6 +15,7 @@ from jaxstab.region.curve import (
     Angles,
     Curve,
     bracketed_root,
+    curve_errors,
     curve_gains,
     gains_and_slopes,
     true_angles,
@@ -30,6 +31,7 @@ class Outline(NamedTuple):
     circle at their ends: two that are equal on an edge that is straight. Between two vertices alpha
     and beta are monotone. ``size`` is n, or 0 for an outline without points, which has two vertices
     that are NaN; they form ``loops`` loops. ``corners`` are points where two branches meet.
+    Rounding may have moved the curve by ``errors`` in alpha and in beta.
     """
 
     vertices: Array
@@ -39,6 +41,7 @@ class Outline(NamedTuple):
     loops: int
     corners: Array
     resolved: bool
+    errors: Array
 
     @property
     def is_curved(self) -> Bool[np.ndarray, " edge"]:
@@ -49,7 +52,8 @@ class Outline(NamedTuple):
 def empty_outline(*, resolved: bool) -> Outline:
     """Return the outline of no region: one edge that is none."""
     vertices, corners = np.full((2, 2), np.nan), np.empty((0, 2))
-    return Outline(vertices, np.array([NO_BRANCH]), np.zeros((1, 2)), 0, 0, corners, resolved)
+    one_edge = np.array([NO_BRANCH]), np.zeros((1, 2))
+    return Outline(vertices, *one_edge, 0, 0, corners, resolved, np.zeros(2))
 
 
 Survey = tuple[Array, Array, tuple[Array, Angles]]
@@ -101,6 +105,7 @@ def polygon(c: Curve, pieces: Pieces, seen: Survey, points: int) -> Outline:
         vertices.append(pieces.begin_wall[[first]])
         loops += 1
     points_of = np.concatenate(vertices)
+    errors = curve_errors(c, np.concatenate([pieces.begin, theta[::4], pieces.end]))
     return Outline(
         vertices=points_of,
         branches=np.concatenate(branches),
@@ -109,6 +114,7 @@ def polygon(c: Curve, pieces: Pieces, seen: Survey, points: int) -> Outline:
         loops=loops,
         corners=np.array(corners),
         resolved=True,
+        errors=np.max(errors, axis=1, initial=0.0),
     )
 
 
