@@ -39,11 +39,10 @@ def main() -> int:
     parser.add_argument(
         "name",
         nargs="?",
-        choices=[*BENCHMARKS, "jitter", "mutants", "plot", "table"],
+        choices=[*BENCHMARKS, "jitter", "plot", "table"],
         help="what to measure, or plot: draw records and put their tables into the pages, "
         "or table: print that table, "
-        "or jitter: attack proofs for delays that move, "
-        "or mutants: change single tokens and run the tests; "
+        "or jitter: attack proofs for delays that move; "
         "without a name all benchmarks",
     )
     parser.add_argument("--small", action="store_true", help="the smallest sizes, in seconds")
@@ -54,8 +53,8 @@ def main() -> int:
     )
     choice = parser.parse_args()
     folder = choice.out / "small" if choice.small else choice.out
-    if choice.name in ("jitter", "mutants"):
-        return import_module(f"benchmarks.{choice.name}").main(choice.small, choice.points)
+    if choice.name == "jitter":
+        return import_module("benchmarks.jitter").main(choice.small, choice.points)
     if choice.name == "table":
         print(table.markdown(record.read_all(folder)))
         return 0

@@ -2,7 +2,7 @@ r"""Single-token mutants of rooms that prove: do the default tests notice them?
 
     python -m pytest -o addopts= -m "not campaign" --cov=jaxstab --cov-context=test \
         --cov-report= --junitxml=seconds.xml
-    python -m benchmarks mutants --points 500
+    python tests/mutants.py --points 500
 
 The first command (it needs pytest-cov) records in ``.coverage`` which tests execute which line, and
 in ``seconds.xml`` how long they take; several such pairs of files, of parts of the tests, may lie
@@ -18,6 +18,7 @@ tests start may run the code as it is. Results are appended to ``mutants.jsonl``
 a later call goes on from there, and tries a survivor again if its tests have changed.
 """
 
+import argparse
 import ast
 import io
 import json
@@ -189,7 +190,7 @@ class Map:
         return tests
 
 
-def main(small: bool, points: int | None) -> int:
+def main(points: int) -> None:
     """Try mutants, and say which of them survive."""
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))  # of the tests, too
     rng = random.Random(20120412)
@@ -204,7 +205,7 @@ def main(small: bool, points: int | None) -> int:
         earlier = {row["mutant"]: row for row in rows}
     counts: Counter[tuple[str, str]] = Counter()
     survivors = []
-    for mutant in islice(filter(Mutant.is_python, places), points or (5 if small else 500)):
+    for mutant in islice(filter(Mutant.is_python, places), points):
         tests = known.tests(mutant)
         row = earlier.get(str(mutant), {"said": "survived", "tests": None})
         if row["said"] == "survived" and row["tests"] != tests:
@@ -217,7 +218,6 @@ def main(small: bool, points: int | None) -> int:
     for room in ROOMS:
         print(room, {said: count for (at, said), count in counts.items() if at == room})
     print(*survivors, sep="\n")
-    return 0
 
 
 def fate(mutant: Mutant, tests: list[str]) -> str:
@@ -245,3 +245,9 @@ def fate(mutant: Mutant, tests: list[str]) -> str:
         except subprocess.TimeoutExpired:
             return "timeout"
     return "killed" if run.returncode else "survived"
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--points", type=int, default=500, help="how many mutants are tried")
+    main(parser.parse_args().points)
