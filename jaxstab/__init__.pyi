@@ -27,7 +27,6 @@ from .model import Mode as Mode
 from .model import Velocity as Velocity
 from .model import characteristic_polynomial as characteristic_polynomial
 from .model import companion_matrix as companion_matrix
-from .model import plant_coefficients as plant_coefficients
 from .motion import amplitude as amplitude
 from .motion import dominant_mode as dominant_mode
 from .motion import settling_samples as settling_samples

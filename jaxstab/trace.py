@@ -36,9 +36,9 @@ from jaxstab.model import (
     Velocity,
     by_name,
     characteristic_polynomial,
-    plant_coefficients,
 )
 from jaxstab.model.filters import Filters, as_keywords, known_filters
+from jaxstab.model.plant import plant_pairs
 from jaxstab.numbers import checked, checked_number, require_x64
 from jaxstab.point.fields import UNKNOWN, poles_outside
 from jaxstab.region.closed_form import Responses, circle_equations
@@ -430,7 +430,9 @@ def solved(
     for _ in range(3):  # with plants of full accuracy; the last step is less than rounding
         parameters = maps.parameters(edges.at(u[:, 0]))
         parameters[2:] = np.maximum(parameters[2:], 0.0)
-        plant = plant_coefficients(**dict(zip(AXES[2:], parameters[2:], strict=True)))
+        gamma, delta, delay = parameters[2:]
+        pairs = plant_pairs(gamma, delta, delay - np.floor(delay))
+        plant = PlantCoefficients(*(pair.rounded() for pair in pairs))
         value = _values(parameters, u[:, 1], edges.branch, responses, plant)
         step = np.stack(_solution(np.moveaxis(rows, 0, -1), value), axis=1)
         u = np.where(is_solved[:, None], u - step, u)

@@ -27,7 +27,7 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "paper.minus_line": [0.1, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "paper.plus_line": [0.1, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "stable_region": [{"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
-    "plant_coefficients": [{"gamma": 0.001, "delta": 0.015}],
+    "paper.plant_coefficients": [{"gamma": 0.001, "delta": 0.015}],
     "characteristic_polynomial": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "companion_matrix": [[1.0, -0.5, 0.25]],
     "is_schur": [[1.0, -0.5, 0.25]],

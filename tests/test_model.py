@@ -191,24 +191,24 @@ class TestPlantCoefficients:
     def test_have_the_last_digit_right(self, fraction: float) -> None:
         slices = hard_slices() if fraction == 0.0 else hard_slices()[::3]
         gamma, delta = np.array(slices).T
-        computed = jaxstab.plant_coefficients(gamma=gamma, delta=delta, delay=fraction)
+        computed = jaxstab.paper.plant_coefficients(gamma=gamma, delta=delta, delay=fraction)
         assert_right(computed, [truth.plant(g, d, fraction) for g, d in slices])
 
     def test_meet_the_reference_file(self) -> None:
         lines = (REFERENCE / "coefficients.tsv").read_text().splitlines()
         rows = list(csv.DictReader((x for x in lines if x[0] != "#"), delimiter="\t"))
         inputs = np.array([[float(r[k]) for k in ("gamma", "delta", "fraction")] for r in rows]).T
-        computed = jaxstab.plant_coefficients(**by_name(*inputs))
+        computed = jaxstab.paper.plant_coefficients(**by_name(*inputs))
         exact = [truth.Plant(*(mpf(row[name]) for name in truth.Plant._fields)) for row in rows]
         assert_right(computed, exact)
 
     def test_at_rest_the_numerator_is_half_z_plus_1(self) -> None:
-        plant = jaxstab.plant_coefficients(gamma=0.0, delta=0.0)
+        plant = jaxstab.paper.plant_coefficients(gamma=0.0, delta=0.0)
         assert [float(x) for x in plant] == [-2.0, 1.0, 0.5, 0.5, 0.0, 1.0, 0.0, 0.0]
 
     def test_the_denominator_at_one_keeps_its_digits(self) -> None:
         gamma = np.array([1e-300, 1e-30, 1e-12, 1e-3, 1.0, 40.0])
-        computed = jaxstab.plant_coefficients(gamma=gamma, delta=0.015).den_at_one
+        computed = jaxstab.paper.plant_coefficients(gamma=gamma, delta=0.015).den_at_one
         exact = [g * truth.plant(g, 0.015).sum for g in gamma.tolist()]
         assert ulps(computed, exact) <= 1.0
 
@@ -216,7 +216,7 @@ class TestPlantCoefficients:
     def test_far_outside_the_box_they_stay_right(self) -> None:
         slices = [(1e3, 0.0), (1e4, 1.0), (0.0, 1e3), (1e3, 1e3), (250000.0 / 25, 100.0)]
         gamma, delta = np.array(slices).T
-        computed = jaxstab.plant_coefficients(gamma=gamma, delta=delta)
+        computed = jaxstab.paper.plant_coefficients(gamma=gamma, delta=delta)
         assert_right(computed, [truth.plant(g, d) for g, d in slices])
 
     @pytest.mark.parametrize(
@@ -240,9 +240,9 @@ class TestPlantCoefficients:
 
     def test_a_whole_delay_is_the_limit_of_fractional_ones(self) -> None:
         tiny = 2.0**-40
-        whole = jaxstab.plant_coefficients(gamma=2.0, delta=0.3, delay=1.0)
-        above = jaxstab.plant_coefficients(gamma=2.0, delta=0.3, delay=1.0 + tiny)
-        below = jaxstab.plant_coefficients(gamma=2.0, delta=0.3, delay=1.0 - tiny)
+        whole = jaxstab.paper.plant_coefficients(gamma=2.0, delta=0.3, delay=1.0)
+        above = jaxstab.paper.plant_coefficients(gamma=2.0, delta=0.3, delay=1.0 + tiny)
+        below = jaxstab.paper.plant_coefficients(gamma=2.0, delta=0.3, delay=1.0 - tiny)
         numerator = lambda p: np.array([p.n2, p.n1, p.n0])  # noqa: E731
         np.testing.assert_allclose(numerator(above), numerator(whole), atol=4 * tiny)
         # just below, one sample less of delay makes up for one power of z
@@ -262,7 +262,7 @@ class TestPlantCoefficients:
             if number % fine == 0:
                 seen.append(state[0])
             state = a @ state + b * push
-        plant = jaxstab.plant_coefficients(gamma=gamma, delta=delta, delay=late / fine)
+        plant = jaxstab.paper.plant_coefficients(gamma=gamma, delta=delta, delay=late / fine)
         numerator = [float(plant.n2), float(plant.n1), float(plant.n0)]
         impulse = np.zeros(len(seen))
         impulse[0] = 1.0
@@ -283,32 +283,32 @@ class TestPlantCoefficients:
     )
     def test_refuses_bad_values_by_name(self, arguments: tuple[float, ...], message: str) -> None:
         with pytest.raises(ValueError, match=message):
-            jaxstab.plant_coefficients(**by_name(*arguments))
+            jaxstab.paper.plant_coefficients(**by_name(*arguments))
 
     def test_what_is_remembered_of_arrays_is_nobody_elses_to_change(self) -> None:
         gamma, delta = np.array([0.0, 0.3]), np.array([0.1, 0.2])
-        first = jaxstab.plant_coefficients(gamma=gamma, delta=delta, delay=0.4)
+        first = jaxstab.paper.plant_coefficients(gamma=gamma, delta=delta, delay=0.4)
         kept = np.copy(first.n1)
         first.n1[:] = 7.0
         np.testing.assert_array_equal(
-            jaxstab.plant_coefficients(gamma=gamma, delta=delta, delay=0.4).n1, kept
+            jaxstab.paper.plant_coefficients(gamma=gamma, delta=delta, delay=0.4).n1, kept
         )
-        gamma[1], alone = 2.0, jaxstab.plant_coefficients(gamma=2.0, delta=0.2, delay=0.4)
-        again = jaxstab.plant_coefficients(gamma=gamma, delta=delta, delay=0.4)
+        gamma[1], alone = 2.0, jaxstab.paper.plant_coefficients(gamma=2.0, delta=0.2, delay=0.4)
+        again = jaxstab.paper.plant_coefficients(gamma=gamma, delta=delta, delay=0.4)
         np.testing.assert_array_equal([part[1] for part in again], alone)
 
     def test_refuses_a_traced_delay(self) -> None:
         with pytest.raises(TypeError, match="concrete"):
-            jax.jit(lambda delay: jaxstab.plant_coefficients(gamma=0.0, delta=0.0, delay=delay))(
-                1.0
-            )
+            jax.jit(
+                lambda delay: jaxstab.paper.plant_coefficients(gamma=0.0, delta=0.0, delay=delay)
+            )(1.0)
 
 
 def plant_slopes(mode: str, delay: float, gammas: np.ndarray, deltas: np.ndarray) -> np.ndarray:
     """The derivatives (gamma or delta, field, slice) of the plant's coefficients, by JAX."""
 
     def fields(gamma: jax.Array, delta: jax.Array) -> jax.Array:
-        return jnp.stack(jaxstab.plant_coefficients(gamma=gamma, delta=delta, delay=delay))
+        return jnp.stack(jaxstab.paper.plant_coefficients(gamma=gamma, delta=delta, delay=delay))
 
     @jax.jit
     def forwards(*plant: jax.Array) -> jax.Array:

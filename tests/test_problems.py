@@ -246,7 +246,7 @@ _THETAS = np.array([0.01, 0.5, 2.5])
 @cache
 def plants() -> Any:
     gamma, delta, delay = problems.points().T[2:]
-    return jaxstab.plant_coefficients(gamma=gamma, delta=delta, delay=delay)
+    return jaxstab.paper.plant_coefficients(gamma=gamma, delta=delta, delay=delay)
 
 
 @cache
@@ -322,7 +322,7 @@ ASSERTIONS = {
     ("characteristic_polynomial", "converged"): polynomial_is_good,
     ("characteristic_polynomial", "honest"): polynomial_is_honest,
     # These have no bound and no status of their own: to be right is all they promise.
-    ("plant_coefficients", "converged"): plant_coefficients_are_good,
+    ("paper.plant_coefficients", "converged"): plant_coefficients_are_good,
     ("boundary_curve", "converged"): boundary_curve_is_good,
     ("paper.plus_line", "converged"): plus_line_is_good,
     ("paper.minus_line", "converged"): minus_line_is_good,

@@ -13,8 +13,8 @@ import numpy as np
 
 from jaxstab.conventions import Verdict
 from jaxstab.loop import ContactKind, HapticLoop, contact_map
-from jaxstab.model import Device, plant_coefficients
-from jaxstab.paper import linear_validity, passive_region
+from jaxstab.model import Device
+from jaxstab.paper import linear_validity, passive_region, plant_coefficients
 from jaxstab.point import closed_loop_poles, verdict
 from jaxstab.region import boundary_curve, stable_region
 from jaxstab.tuning import minimize_settling

@@ -16,7 +16,6 @@ from .parameters import checked_gain as checked_gain
 from .parameters import checked_gamma as checked_gamma
 from .parameters import require_x64 as require_x64
 from .plant import PlantCoefficients as PlantCoefficients
-from .plant import plant_coefficients as plant_coefficients
 from .plant import plant_pairs as plant_pairs
 from .plant import plant_transition as plant_transition
 

@@ -41,7 +41,7 @@ from jaxstab.arrays import (
 )
 from jaxstab.batches import MANY_PLANTS, compiled
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.parameters import checked_delay, checked_delta, checked_gamma, require_x64
+from jaxstab.model.parameters import checked_delta, checked_gamma, require_x64
 from jaxstab.rounding import DAMPED_PLANT, SOFT_DELTA, SOFT_GAMMA, SOFT_PLANT, STIFF_PLANT
 
 
@@ -53,7 +53,7 @@ class PlantCoefficients(NamedTuple):
     or pairs of them for sums that may still cancel.
 
     Example:
-        >>> plant = jaxstab.plant_coefficients(gamma=0.0, delta=0.0)
+        >>> plant = jaxstab.paper.plant_coefficients(gamma=0.0, delta=0.0)
         >>> float(plant.n1), float(plant.n0)
         (0.5, 0.0)
     """
@@ -68,40 +68,14 @@ class PlantCoefficients(NamedTuple):
     den_at_one: Array
 
 
-def plant_coefficients(
-    *, gamma: Numbers, delta: Numbers, delay: Numbers = 0.0
-) -> PlantCoefficients:
-    """Discretise mass, spring and damper behind a zero-order hold and the fraction of a delay.
-
-    Args and Raises: see ``jaxstab.conventions``.
-
-    Returns:
-        PlantCoefficients of float64 arrays of the broadcast shape, differentiable to any order in
-        gamma and delta. Over gamma <= 40, delta <= 10 each field is the correctly rounded value,
-        or within 3 ulp of it where it nearly vanishes (d1 at gamma = (pi/2)^2, N(z) at
-        gamma = (2 pi)^2, both at delta = 0); values below 1e-300 may be flushed to zero.
-
-    Source: eqs. (2)-(6) and (9) of Hulin, Preusche, Hirzinger (2008), rewritten; for a fractional
-    delay the modified z-transform.
-
-    Example:
-        >>> free = jaxstab.plant_coefficients(gamma=0.0, delta=0.0)
-        >>> float(free.n1)  # N(z) = (z + 1)/2 without hand
-        0.5
-    """
-    require_x64(gamma, delta)
-    delay = checked_delay(delay)
-    fraction = delay - np.floor(delay)
-    pairs = plant_pairs(checked_gamma(gamma), checked_delta(delta), fraction)
-    return PlantCoefficients(*(pair.rounded() for pair in pairs))
-
-
 def plant_transition(gamma: Numbers, delta: Numbers, time: Numbers) -> Float64[Array, "*grid 2 3"]:
     """The motion of the plant while a force is held for a ``time`` of at most one sample.
 
     Position and velocity (rows) at the end, for a unit of position, of velocity and of force
     (columns) at its beginning: upper rows of expm(t [[0, 1, 0], [-gamma, -delta, 1], [0, 0, 0]]).
-    Source: eqs. (1)-(3) of Hulin, Preusche, Hirzinger (2008); errors as ``plant_coefficients``.
+    Errors are as those of ``jaxstab.paper.plant_coefficients``.
+
+    Source: eqs. (1)-(3) of Hulin, Preusche, Hirzinger (2008).
     """
     require_x64(gamma, delta, time)
     values = (checked_gamma(gamma), checked_delta(delta), time)

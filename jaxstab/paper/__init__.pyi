@@ -4,6 +4,7 @@ from .rules import linear_condition as linear_condition
 from .rules import linear_error as linear_error
 from .rules import minus_line as minus_line
 from .rules import passive_region as passive_region
+from .rules import plant_coefficients as plant_coefficients
 from .rules import plus_line as plus_line
 from .rules import routh_hurwitz_condition as routh_hurwitz_condition
 from .validity import LinearValidity as LinearValidity
