@@ -60,7 +60,7 @@ class Judge:
         return alpha, beta
 
     def distance(self, alpha: float, beta: float) -> float:
-        """Return how far a point is from the curve, or from a line of a real root that is closer.
+        """The distance of a point from the curve, or from a line of a real root that is closer.
 
         A line's distance is p(z) over its slope. From the closest of many points of the curve a
         few steps go to where the way to the point is square to it; each doubles the digits.

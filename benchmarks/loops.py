@@ -112,7 +112,7 @@ def _rows_of(
 
 
 def _judged(kind: Kind, index: int) -> list[Tally]:
-    """Return what became of the questions about one loop: its truth is computed once for all.
+    """Answers about one loop, judged: its truth is computed once for all.
 
     It can be repeated alone.
     """

@@ -143,7 +143,7 @@ def line(row: Row) -> str:
 
 
 def machine() -> dict[str, Any]:
-    """Return what a run time depends on; no name of a host."""
+    """All that a run time depends on; no name of a host."""
     import jax  # last of all: the flags of a benchmark are set when it starts
 
     cpu = _cpu_model()

@@ -60,7 +60,7 @@ def streamed(count: int, judged: int) -> Row:
 
 
 def _streamed(axes: Axes) -> int:
-    """Return how many points are stable, chunk after chunk."""
+    """The number of stable points, chunk after chunk."""
     alpha, beta = axes
     chunks = jaxstab.evaluate_grid(jaxstab.verdict, alpha=alpha, beta=beta, **PLACE, chunk=_CHUNK)
     return sum(int(np.count_nonzero(np.asarray(codes) == Verdict.STABLE)) for _, codes in chunks)

@@ -53,7 +53,7 @@ def markdown(records: list[Record]) -> str:
 
 
 def rivals(records: list[Record], *, brief: bool = False) -> str:
-    """Return what tools take for a loop and how wrong they are; the brief table is README's."""
+    """The times of tools for a loop, and their errors; the brief table is README's."""
     found = _of_one_machine(records)["rivals"]["rows"]
     groups = list(_grouped(found, "section"))
     tools = {

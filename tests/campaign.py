@@ -11,7 +11,7 @@ _SHARE = os.environ.get("JAXSTAB_CAMPAIGN")
 
 
 def many(full: int, small: int | None = None) -> int:
-    """Return how many of a full campaign are tried, one at least: a tenth, or a small number."""
+    """The number of tries of a full campaign, one at least: a tenth, or a small number."""
     if _SHARE is None and small is not None:
         return small
     return max(round(float(_SHARE or 0.1) * full), 1)

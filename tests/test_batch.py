@@ -63,7 +63,7 @@ def loops(rng: np.random.Generator) -> list[HapticLoop]:
 
 
 def is_wrong(many: jaxstab.results.ManyLimits, index: int, one: jaxstab.results.WallLimits) -> bool:
-    """Return whether a loop's limits are not those that it has by itself."""
+    """True if a loop's limits are not those that it has by itself."""
     pairs = (many.stiffness[index], one.stiffness), (many.damping[index], one.damping)
     same = all(np.isclose(*pair, rtol=1e-9, atol=0.0, equal_nan=True) for pair in pairs)
     flags = many.status[index] == one.status and many.is_reachable[index] == one.is_reachable

@@ -49,7 +49,7 @@ def velocity_of(software: str, period: float, past: list[Floats], before: list[F
 
 
 def grow(walls: Walls, software: str, samples: int) -> NDArray[np.bool_]:
-    """Return whether positions grow: the largest of the last quarter against that before it."""
+    """True if positions grow: the largest of the last quarter against that before it."""
     period, count = walls.loops[0].sample_time, len(walls.loops)
     delays = np.array([round(loop.delay / period) for loop in walls.loops])
     moves = np.array([transition(loop)[:2] for loop in walls.loops]).transpose(1, 2, 0)

@@ -161,7 +161,7 @@ def motion_of(table: dict[str, Any]) -> tuple[Floats, Floats, Floats]:
 
 
 def grows(table: dict[str, Any], stiffness: float, damping: float) -> bool:
-    """Return whether positions grow over 1048576 samples: the step of a sample, squared."""
+    """True if positions grow over 1048576 samples: the step of a sample, squared."""
     controller = table["controller"]
     period, delay = controller["sample_time"], int(controller["delay_samples"])
     window = controller["velocity"]["window_samples"]

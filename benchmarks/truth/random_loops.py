@@ -139,7 +139,7 @@ class DeviceLoop:
 
 
 def device_of(drawn: devices.Drawn) -> Device:
-    """Return what was drawn as a device of jaxstab, its hand from encoder to motor."""
+    """A drawn device as one of jaxstab, its hand from encoder to motor."""
     modes = [Mode(frequency=f, damping_ratio=z, modal_mass=m) for f, z, m in drawn.modes]
     device = Device.modes(modes, mass=drawn.mass, damping=drawn.damping)
     if drawn.hand is not None:
