@@ -2,7 +2,8 @@
 
 What XLA compiles is kept in one folder for as long as the tests run: workers of pytest-xdist and
 the processes that tests start do not compile the same again. The user's own cache is not touched;
-``JAXSTAB_TEST_PROGRAMS`` names a folder for several runs.
+``JAXSTAB_TEST_PROGRAMS`` names a folder for several runs. ``JAXSTAB_TEST_UNCHECKED`` leaves shapes
+and dtypes unchecked, as users run the package.
 """
 
 import ctypes
@@ -16,17 +17,18 @@ from tempfile import TemporaryDirectory
 # of a small matrix on two cores that are taken.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import annotations
+if not os.environ.get("JAXSTAB_TEST_UNCHECKED"):  # a seventh of the time
+    import annotations
 
-annotations.install()
+    annotations.install()
 
-import jaxstab  # noqa: E402
+import jaxstab
 
 if "PYTEST_XDIST_WORKER" not in os.environ:
     _programs = TemporaryDirectory(prefix="jaxstab-tests-")  # deleted when this process ends
     jaxstab.use_compilation_cache(os.environ.get("JAXSTAB_TEST_PROGRAMS") or _programs.name)
 
-import jax  # noqa: E402
+import jax
 
 jax.config.update("jax_enable_x64", True)
 
