@@ -61,6 +61,21 @@ def test_51_an_error_ends_workers_at_once_whatever_they_compute() -> None:
     assert not active_children()
 
 
+SUDDEN_END = """
+import os
+from jaxstab.cli.interrupt import processes
+
+with processes(1) as pool:
+    pool.submit(abs, 1).result()
+    os._exit(130)
+"""
+
+
+def test_nothing_is_said_of_what_a_sudden_end_left() -> None:
+    done = subprocess.run([sys.executable, "-c", SUDDEN_END], capture_output=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, b"", b"")
+
+
 def test_what_watches_ends_with_a_command() -> None:
     before = threading.active_count()
     for _ in range(5):

@@ -65,7 +65,7 @@ def processes(count: int) -> Iterator[ProcessPoolExecutor]:
 
     They end at once where an error leaves the ``with`` statement, and with this process.
     """
-    with _mask_kept():  # which the tracker of resources changes when it starts
+    with _mask_kept(), _silent():  # the tracker of resources changes the mask when it starts
         resource_tracker.ensure_running()
     with _Workers(count, get_context("spawn"), _end_with_parent) as pool:
         try:
@@ -96,6 +96,20 @@ def _mask_kept() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Let the tracker that starts meanwhile not report what it clears up after a sudden end."""
+    name, silence = "PYTHONWARNINGS", "ignore:resource_tracker:UserWarning"
+    before = os.environ.get(name)
+    os.environ[name] = f"{before},{silence}" if before else silence
+    try:
+        yield
+    finally:
+        os.environ.pop(name)
+        if before is not None:
+            os.environ[name] = before
 
 
 def _end_with_parent() -> None:
