@@ -77,5 +77,5 @@ def draw(found: list[Row]) -> Figure:
     figure.supxlabel("damping of the wall B (N m s/deg)")
     figure.supylabel("largest stiffness of the wall K (N m/deg)")
     handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=3)
+    figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False)
     return figure
