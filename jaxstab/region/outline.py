@@ -114,7 +114,7 @@ def polygon(c: Curve, pieces: Pieces, seen: Survey, points: int) -> Outline:
         loops=loops,
         corners=np.array(corners),
         resolved=True,
-        errors=np.max(errors, axis=1, initial=0.0),
+        errors=np.max(np.nan_to_num(errors, nan=np.inf), axis=1, initial=0.0),
     )
 
 
