@@ -165,7 +165,9 @@ for more in [*range(0, 3_000_000, 100_000), *(10**6 * 2**k for k in range(2, 9))
             answer = "damaged"
         os._exit([*found].index(answer))
     _, status = os.waitpid(child, 0)
-    found[[*found][os.waitstatus_to_exitcode(status)]] += 1  # a crash has no index
+    code = os.waitstatus_to_exitcode(status)
+    if code >= 0:  # h5py itself may crash where it gets no memory
+        found[[*found][code]] += 1
 print(*found.values())
 """
 
@@ -187,7 +189,12 @@ def test_28_a_good_file_is_not_called_damaged_where_memory_runs_short() -> None:
 
 
 @pytest.mark.parametrize(
-    "error", [MemoryError(), SystemError("error return without exception set")]
+    "error",
+    [
+        MemoryError(),
+        SystemError("error return without exception set"),
+        OSError("Can't synchronously read data (filter returned failure during read)"),
+    ],
 )
 def test_an_error_that_lacked_memory_is_named(
     error: Exception, path: Path, monkeypatch: pytest.MonkeyPatch
@@ -196,6 +203,7 @@ def test_an_error_that_lacked_memory_is_named(
         raise error
 
     monkeypatch.setattr("jaxstab.atlas.file.h5py.File", short)
+    monkeypatch.setattr("jaxstab.atlas.file._is_memory_short", lambda: True)
     with pytest.raises(MemoryError, match=f"there is not enough memory to read {path}"):
         open_atlas(path)
 

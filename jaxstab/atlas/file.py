@@ -399,10 +399,20 @@ def opened(path: Path) -> Iterator[h5py.File]:
         except _ForeignError:
             raise
         except (*troubles, OSError) as error:
-            if "alloc" in str(error):  # libhdf5 raises the same errors for both
+            # libhdf5 raises the same errors for both, and where a filter fails in the same words.
+            if "alloc" in str(error) or _is_memory_short():
                 raise MemoryError(f"there is not enough memory to read {path}.") from error
             words = f"{path} is damaged, or no atlas ({_word(error)}); {_HINT}."
             raise ValueError(words) from error
+
+
+def _is_memory_short() -> bool:
+    some_chunks = 1 << 26  # bytes; they are asked for, not touched
+    try:
+        np.empty(some_chunks, np.uint8)
+    except MemoryError:
+        return True
+    return False
 
 
 class _ForeignError(ValueError):
