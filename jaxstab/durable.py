@@ -8,6 +8,7 @@ us.
 
 import errno
 import io
+import mmap
 import os
 import secrets
 import stat
@@ -153,6 +154,15 @@ def named_errors(deed: str, path: Path) -> Iterator[None]:
     except OSError as error:
         reason = error.strerror or str(error)
         raise type(error)(error.errno, f"cannot {deed} {path}: {reason}.") from error
+
+
+def is_memory_short() -> bool:
+    """True if 64 MiB cannot be had: libhdf5 then fails at sound files as at damaged ones."""
+    try:
+        mmap.mmap(-1, 1 << 26).close()  # asked for, not touched
+    except OSError:
+        return True
+    return False
 
 
 def write_all(descriptor: int, data: bytes | memoryview) -> None:

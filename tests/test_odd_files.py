@@ -10,6 +10,7 @@ from atlases import write_small
 from commands import POINT, START, assert_one_sentence, run
 
 from jaxstab import AtlasSpec, Verdict, build_atlas, durable, open_atlas
+from jaxstab.scene import labelled
 
 CSV = "alpha,beta,gamma,delta,delay\n"
 
@@ -203,9 +204,19 @@ def test_an_error_that_lacked_memory_is_named(
         raise error
 
     monkeypatch.setattr("jaxstab.atlas.file.h5py.File", short)
-    monkeypatch.setattr("jaxstab.atlas.file._is_memory_short", lambda: True)
+    monkeypatch.setattr("jaxstab.atlas.file.is_memory_short", lambda: True)
     with pytest.raises(MemoryError, match=f"there is not enough memory to read {path}"):
         open_atlas(path)
+
+
+def test_a_table_is_not_called_damaged_where_memory_runs_short(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = tmp_path / "text.h5"
+    text.write_text("no table")
+    monkeypatch.setattr("jaxstab.scene.labelled.is_memory_short", lambda: True)
+    with pytest.raises(MemoryError, match=f"there is not enough memory to read {text}"):
+        labelled.read(text)
 
 
 def test_31_a_pipe_is_not_waited_for(path: Path, tmp_path: Path) -> None:

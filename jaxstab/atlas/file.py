@@ -26,7 +26,7 @@ import numpy as np
 from isal import isal_zlib
 from numpy.typing import NDArray
 
-from jaxstab.durable import PatientStream, named_errors, target_of
+from jaxstab.durable import PatientStream, is_memory_short, named_errors, target_of
 
 FORMAT: Final = "jaxstab atlas"
 SCHEMA_VERSION: Final = 4
@@ -400,19 +400,10 @@ def opened(path: Path) -> Iterator[h5py.File]:
             raise
         except (*troubles, OSError) as error:
             # libhdf5 raises the same errors for both, and where a filter fails in the same words.
-            if "alloc" in str(error) or _is_memory_short():
+            if "alloc" in str(error) or is_memory_short():
                 raise MemoryError(f"there is not enough memory to read {path}.") from error
             words = f"{path} is damaged, or no atlas ({_word(error)}); {_HINT}."
             raise ValueError(words) from error
-
-
-def _is_memory_short() -> bool:
-    some_chunks = 1 << 26  # bytes; they are asked for, not touched
-    try:
-        np.empty(some_chunks, np.uint8)
-    except MemoryError:
-        return True
-    return False
 
 
 class _ForeignError(ValueError):

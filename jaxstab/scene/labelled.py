@@ -19,7 +19,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from jaxstab.durable import named_errors, replacing, require_no_output, write_all
+from jaxstab.durable import (
+    is_memory_short,
+    named_errors,
+    replacing,
+    require_no_output,
+    write_all,
+)
 
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset
@@ -142,4 +148,6 @@ def read(path: Path) -> "Dataset":
     try:
         return xarray.load_dataset(path, engine="h5netcdf")
     except unreadable as error:
+        if is_memory_short():
+            raise MemoryError(f"there is not enough memory to read {path}.") from error
         raise ValueError(f"{path} is not a netCDF-4 file, or is damaged.") from error
