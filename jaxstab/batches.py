@@ -8,19 +8,22 @@ XLA compiles for each shape; so what others give is padded here, to few shapes.
 
 import os
 import sys
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from functools import cache, partial, wraps
-from itertools import pairwise
+from itertools import chain, islice, pairwise
 from math import prod
 from pathlib import Path
 from threading import Lock
-from typing import Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import numpy as np
 from jaxtyping import Int64
 
 from jaxstab.arrays import Array, constant, is_jax, is_traced, leaves, namespace, tree_map
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
@@ -36,11 +39,18 @@ MANY_COEFFICIENTS = 1 << 20
 MANY_ANGLES = 1 << 18
 _FOR_A_CORE = 1 << 17  # points from which on a second core pays
 
-# An option of XLA's compiler for CPUs; ``compiler_options`` leaves out what a release lacks.
-# For a program of hundreds of kernels: in JAX 0.10 XLA's newer code generator takes 400 MB more
-# and compiles for longer; what it compiles is not faster, and computes the same bits. JAX 0.12 has
-# it alone, and compiles such programs as fast by it.
-LEAN: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
+# Options of XLA's compiler for CPUs; ``compiler_options`` leaves out what a release lacks. They are
+# for a program of hundreds of kernels and of loops; what it computes is the same to the last bit.
+LEAN: dict[str, Any] = {
+    # In JAX 0.10 XLA's newer code generator takes 400 MB more and compiles for longer. JAX 0.12 has
+    # it alone, and compiles such programs as fast by it.
+    "xla_cpu_use_fusion_emitters": False,
+    # Copy less of what a loop carries: a tenth of the time.
+    "xla_cpu_copy_insertion_use_region_analysis": True,
+    # One kernel after the other, the order that takes the least memory: threads that wait for each
+    # other take another tenth.
+    "xla_cpu_scheduler_type": 1,
+}
 
 
 def compiled(
@@ -168,21 +178,41 @@ def on_cores(function: Callable[[Item], Result], items: Sequence[Item]) -> list[
     """Apply a function to items, on all cores that the CPU has for JAX."""
     from concurrent.futures import ThreadPoolExecutor  # slow to import
 
-    # One thread more than there are cores: a thread spends part of its time in Python, between
-    # two programs, and its core would be idle.
-    with ThreadPoolExecutor(_cores() + 1 if is_on_cpu() else 1) as pool:
+    with ThreadPoolExecutor(_threads()) as pool:
         return list(pool.map(function, items))
 
 
-def one_ahead(items: Iterator[Item]) -> Iterator[Item]:
-    """Yield items: a thread makes the next one while this one is used."""
+def ahead(
+    function: Callable[[Item], Result], items: Iterable[Item]
+) -> Iterator[tuple[Item, Result]]:
+    """Yield items and the function of each, in order: cores compute while this thread makes items.
+
+    Few items wait for their turn, so few are held in memory. What runs in Python for long belongs
+    into the making of items: threads that take turns in it wait for each other.
+    """
     from concurrent.futures import ThreadPoolExecutor  # slow to import
 
-    with ThreadPoolExecutor(1) as maker:
-        following = maker.submit(next, items, None)
-        while (item := following.result()) is not None:
-            following = maker.submit(next, items, None)
-            yield item
+    every = iter(items)
+    head = list(islice(every, 1))
+    if not head:
+        return  # without JAX
+    count = _threads()
+    with ThreadPoolExecutor(count) as pool:
+        waiting: deque[tuple[Item, Future[Result]]] = deque()
+        for item in chain(head, every):
+            waiting.append((item, pool.submit(function, item)))
+            while len(waiting) > 2 * count or (waiting and waiting[0][1].done()):
+                first, future = waiting.popleft()
+                yield first, future.result()
+        for item, future in waiting:
+            yield item, future.result()
+
+
+def _threads() -> int:
+    """The number of threads that keep the cores busy that JAX computes on."""
+    # One thread more than there are cores: a thread spends part of its time in Python, between
+    # two programs, and its core would be idle.
+    return _cores() + 1 if is_on_cpu() else 1
 
 
 def is_on_cpu() -> bool:

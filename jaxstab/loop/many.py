@@ -3,14 +3,14 @@
 Loops with the same estimator and filter are a *stack*: one loop with columns in place of numbers,
 checked at once and formed together, in pairs of float64, by their whole samples of delay. They are
 grouped by the degree of p(z), filled up to one of few degrees, so that few programs are compiled
-(``jaxstab.region.batch``). A group is computed as soon as it is large enough, while a thread forms
-the next one, so that few coefficients are held at once. Where the scan of a loop missed a piece
+(``jaxstab.region.batch``). A group is computed as soon as it is large enough, while the next one is
+formed, so that few coefficients are held at once. Where the scan of a loop missed a piece
 of the boundary, most often a narrow one next to a vibration mode, it is scanned again with angles
 that come closer and closer to where that piece begins. What a program does not resolve then, and
 groups too small to compile for, are answered as ``HapticLoop.limits`` answers.
 """
 
-from collections.abc import Hashable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial, reduce
 from itertools import accumulate, chain
@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
 from jaxstab.arrays import Array, is_any_jax, is_any_traced, leaves, namespace, take, tree_map
-from jaxstab.batches import alike, in_float64, lists, on_cores, one_ahead
+from jaxstab.batches import ahead, alike, in_float64
 from jaxstab.loop.affine import GainLimits, Loop
 from jaxstab.loop.samples import Formed, sampled_loops
 from jaxstab.model import LoopParameters, require_x64
@@ -44,11 +44,11 @@ from jaxstab.region.outline import vertex_roots
 if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop
     from jaxstab.loop.region import WallRegion
-    from jaxstab.region.batch import Extremes, Triples
+    from jaxstab.region.batch import Answers, Extremes, Triples
 
 _VERTICES = 295  # of an outline
 _AT_ONCE = 256  # loops that a program takes
-_FORMED = 2048  # loops whose coefficients are held in memory
+_FORMED = 2048  # loops of one mass that are formed at once
 _SCANS = 3  # of a loop, at most
 _DEGREES = (5, 9, 17, 25, 41, 65)  # up to which p(z) are filled: each program takes memory
 
@@ -444,108 +444,112 @@ def resolved(
     stacks: list[Stack], *, outlines: bool = False
 ) -> "Iterator[tuple[Indices, tuple[Extremes, Any]]]":
     """Yield loops that the program of a batch resolved, and its answers to them."""
-    fewest_compiled = 4  # the same for a program that is compiled
     are_walls = not any(isinstance(loop, list) for _, loop in stacks)
-    for formed, triples in one_ahead(_groups(stacks, in_charts=outlines)):
-        for _ in range(_SCANS):
-            if len(triples.angles) < fewest_compiled:
-                break
-            from jaxstab.region.batch import ISLAND  # fewer need no JAX
+    formed: Iterable[Formed] = _formed(stacks, in_charts=outlines)
+    compiled: set[int] = set()
+    for _ in range(_SCANS):
+        again: list[Formed] = []
+        for group, answer in ahead(_answer, _grouped(formed, compiled, outlines=outlines)):
+            from jaxstab.region.batch import ISLAND
 
             accepted = [0] if outlines or are_walls else [0, ISLAND]
-            members = np.concatenate([group.members for group in formed])
+            members = np.concatenate([part.members for part in group.formed])
             units, turned, unstable = (
-                np.concatenate(x) for x in list(zip(*formed, strict=True))[5:]
+                np.concatenate(x) for x in list(zip(*group.formed, strict=True))[5:]
             )
-            missed = np.full((len(members), 2), np.nan)
-            for indices, answer in _answers(triples, outlines):
-                extremes = take(answer[0], np.arange(indices.size))
-                extremes.failures[(extremes.failures == 0) & unstable[indices]] = ISLAND
-                is_open = ~np.isin(extremes.failures, accepted)
-                is_open |= np.any(np.diagonal(extremes.walls, axis1=1, axis2=2) < 0.0, axis=1)
-                missed[indices[is_open]] = extremes.missed[is_open]
-                extremes.walls[:] *= units[indices, None]
-                extremes.walls[turned[indices]] = extremes.walls[turned[indices], ::-1, ::-1]
-                if outlines:
-                    outline = take(answer[1], np.arange(indices.size))
-                    outline.vertices[:] *= units[indices, None]
-                    outline.area[:] *= units[indices].prod(axis=1)
-                    turn = turned[indices]
-                    outline.vertices[turn] = outline.vertices[turn, ::-1, ::-1]
-                    answer = answer[0], outline
-                own = np.flatnonzero(~is_open)
-                if own.size:
-                    yield members[indices[own]], (take(extremes, own), take(answer[1], own))
-            formed, triples = _rescanned(formed, triples, missed)
+            extremes, outline = take(answer, np.arange(len(members)))
+            extremes.failures[(extremes.failures == 0) & unstable] = ISLAND
+            is_open = ~np.isin(extremes.failures, accepted)
+            is_open |= np.any(np.diagonal(extremes.walls, axis1=1, axis2=2) < 0.0, axis=1)
+            extremes.walls[:] *= units[:, None]
+            extremes.walls[turned] = extremes.walls[turned, ::-1, ::-1]
+            if outlines:
+                outline.vertices[:] *= units[:, None]
+                outline.area[:] *= units.prod(axis=1)
+                outline.vertices[turned] = outline.vertices[turned, ::-1, ::-1]
+            own = np.flatnonzero(~is_open)
+            if own.size:
+                yield members[own], take((extremes, outline), own)
+            again += _with_missed(group.formed, np.where(is_open[:, None], extremes.missed, np.nan))
+        formed = again
 
 
-def _answers(triples: "Triples", outlines: bool) -> "Iterator[tuple[Indices, Any]]":
-    """Yield parts of a group, and the answers of the program, filled up with copies."""
-    from jaxstab.region.batch import program
+class _Group(NamedTuple):
+    """Loops that are filled up to one degree, as many as a program takes, and the program."""
 
-    components = program(triples.straight.shape[-1] - 1, outlines=outlines)
-
-    def solved(indices: Indices) -> Any:
-        return in_float64(components, take(triples, indices))
-
-    padded = list(lists(np.arange(len(triples.angles)), _AT_ONCE))
-    answers = on_cores(solved, [indices for _, indices in padded])
-    yield from zip((members for members, _ in padded), answers, strict=True)
+    formed: list[Formed]
+    triples: "Triples"
+    components: "Callable[[Triples], Answers]"
 
 
-def _groups(
-    stacks: list[Stack], *, in_charts: bool = False
-) -> Iterator[tuple[list[Formed], "Triples"]]:
-    """Yield loops that are filled up to one degree, and their triples, when there are enough.
+def _answer(group: _Group) -> "tuple[Extremes, Any]":
+    """Return the answers of a program, to copies behind the loops of the group."""
+    count = len(group.triples.angles)
+    return in_float64(group.components, take(group.triples, np.arange(_AT_ONCE) % count))
+
+
+def _grouped(formed: Iterable[Formed], compiled: set[int], *, outlines: bool) -> Iterator[_Group]:
+    """Yield groups as soon as there are enough loops.
 
     Loops that are too few to compile for are filled up to the next degree.
     """
     fewest = 64  # loops of a kind: a program takes as long to compile as these take one by one
+    fewest_compiled = 4  # the same for a program that is compiled
     waiting: dict[int, list[Formed]] = {degree: [] for degree in _DEGREES}
-    is_compiled = dict.fromkeys(_DEGREES, False)
-    for group in _formed(stacks, in_charts=in_charts):
-        degree = _filled_degree(group)
+
+    def groups(own: list[Formed], degree: int) -> Iterator[_Group]:
+        from jaxstab.region.batch import program  # few loops need no JAX
+
+        compiled.add(degree)
+        triples, components = _triples(own, degree), program(degree, outlines=outlines)
+        for start in range(0, len(triples.angles), _AT_ONCE):
+            piece, own = _cut(own, _AT_ONCE)
+            yield _Group(piece, take(triples, slice(start, start + _AT_ONCE)), components)
+
+    for part in formed:
+        degree = _filled_degree(part)
         if degree is None:
             continue
-        waiting[degree].append(group)
-        if _count(waiting[degree]) >= _FORMED:
-            yield waiting[degree], _triples(waiting[degree], degree)
-            waiting[degree], is_compiled[degree] = [], True
+        waiting[degree].append(part)
+        whole = _count(waiting[degree]) // _AT_ONCE * _AT_ONCE
+        if whole:
+            own, waiting[degree] = _cut(waiting[degree], whole)
+            yield from groups(own, degree)
     few: list[Formed] = []
     for degree in _DEGREES:
         few += waiting[degree]
-        if few and (is_compiled[degree] or _count(few) >= fewest):
-            yield few, _triples(few, degree)
+        if _count(few) >= (fewest_compiled if degree in compiled else fewest):
+            yield from groups(few, degree)
             few = []
 
 
 def _count(formed: list[Formed]) -> int:
-    return sum(len(group.members) for group in formed)
+    return sum(len(part.members) for part in formed)
 
 
-def _rescanned(
-    formed: list[Formed], triples: "Triples", missed: Float64[np.ndarray, "loop 2"]
-) -> "tuple[list[Formed], Triples]":
-    """Return the loops of which a piece was missed, with scans that are finer next to it.
+def _cut(formed: list[Formed], count: int) -> tuple[list[Formed], list[Formed]]:
+    """Return so many loops, and the others."""
+    sides: tuple[list[Formed], list[Formed]] = [], []
+    for part in formed:
+        for side, own in zip(sides, (slice(count), slice(count, None)), strict=True):
+            piece = take(part, own)
+            side += [piece] if len(piece.members) else []
+        count = max(0, count - len(part.members))
+    return sides
 
-    The coefficients of a loop stay; a scan has as many angles as before.
-    """
+
+def _with_missed(formed: list[Formed], missed: Float64[np.ndarray, "loop 2"]) -> Iterator[Formed]:
+    """Yield the loops of which a piece was missed: their scans will be finer next to it."""
     first_angles = np.array([1e-5, 3e-5])  # their distances from where a piece was missed
-    degree = triples.straight.shape[-1] - 1
-    again, chosen, scans, start = [], [np.empty(0, int)], [triples.angles[:0]], 0
     more = np.stack(np.broadcast_arrays(missed, first_angles), axis=-1)
-    for group in formed:
-        own = np.flatnonzero(np.isfinite(missed[start : start + len(group.members), 0]))
-        roots = np.broadcast_to(group.roots, (len(group.members), *group.roots.shape[1:]))[own]
-        roots = np.concatenate([roots, more[start + own]], axis=1)
-        if own.size and group.poles.shape[-1] + roots.shape[1] <= degree + 2:
-            columns = (column[own] for column in group[5:])
-            members, poles = group.members[own], group.poles[own]
-            again.append(Formed(members, group.parts, group.ends, poles, roots, *columns))
-            chosen.append(start + own)
-            scans.append(_scans(again[-1], degree))
-        start += len(group.members)
-    return again, take(triples, np.concatenate(chosen))._replace(angles=np.concatenate(scans))
+    start = 0
+    for part in formed:
+        count = len(part.members)
+        own = np.flatnonzero(np.isfinite(missed[start : start + count, 0]))
+        if own.size:
+            roots = np.concatenate([part.roots[own], more[start + own]], axis=1)
+            yield take(part, own)._replace(roots=roots)
+        start += count
 
 
 def _formed(stacks: list[Stack], *, in_charts: bool = False) -> Iterator[Formed]:
