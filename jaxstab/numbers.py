@@ -37,7 +37,7 @@ def checked(
     ``name`` and ``unit`` are for the sentence of a TypeError or ValueError, ``is_open`` tells
     whether ``low`` itself is refused.
     """
-    if type(value) is float and low < value <= high and value < inf:  # most numbers, at once
+    if type(value) is float and _is_allowed(value, low, high, is_open):  # most numbers, at once
         return np.array(value)
     if is_traced(value):
         return value
@@ -64,6 +64,11 @@ def real_numbers(name: str, value: Any) -> np.ndarray[Any, np.dtype[Any]]:
     return numbers
 
 
+def _is_allowed(value: float, low: float, high: float, is_open: bool) -> bool:
+    """True for a finite number in the range; False for one that a closer look may refuse."""
+    return -inf < value < inf and (low < value if is_open else low <= value) and value <= high
+
+
 def checked_number(
     name: str,
     value: Any,
@@ -74,7 +79,7 @@ def checked_number(
     unit: str = "",
 ) -> float:
     """One real, finite, concrete number in [low, high] as a Python float; see ``checked``."""
-    if type(value) is float and low < value <= high and value < inf:  # most numbers, at once
+    if type(value) is float and _is_allowed(value, low, high, is_open):  # most numbers, at once
         return value
     if is_traced(value):
         raise TypeError(f"{name} is traced; give a concrete number, outside of jit, vmap and grad.")

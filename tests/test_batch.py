@@ -1,8 +1,9 @@
 """Limits of batches of loops on JAX, against balls of python-flint and single answers."""
 
 import gc
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from fractions import Fraction
 from functools import partial
 from typing import Any
 from weakref import ref
@@ -18,7 +19,10 @@ import jaxstab
 from benchmarks.truth.devices import DeviceLoop, Mechanism, mode
 from benchmarks.truth.filtered import FilteredLoop, average, difference, low_pass, times
 from jaxstab import Device, Filter, HapticLoop, Mode, Velocity, Verdict, limits_of, regions_of
+from jaxstab.batches import ahead
 from jaxstab.loop import many as loops_together
+from jaxstab.loop.samples import _outside
+from jaxstab.model.filters import has_roots_inside
 from jaxstab.region.batch import (
     SLOTS,
     Triples,
@@ -318,6 +322,43 @@ def test_a_program_is_kept_until_eight_others_are_needed() -> None:
         program(degree)
     gc.collect()
     assert first() is None
+
+
+def test_groups_are_computed_while_the_next_ones_are_made_few_of_them_ahead() -> None:
+    made: list[int] = []
+    is_used = 0
+
+    def items() -> Iterator[int]:
+        for k in range(40):
+            made.append(k)
+            yield k
+
+    for k, square in ahead(lambda k: k * k, items()):
+        assert (k, square) == (is_used, is_used**2)
+        assert len(made) - is_used < 20
+        is_used += 1
+    assert is_used == len(made) == 40
+
+
+def test_what_float64_says_of_roots_outside_the_circle_is_so_by_fractions(
+    rng: np.random.Generator,
+) -> None:
+    """Some roots are 1e-15 to 0.1 from the circle, some are double, some polynomials end in 0."""
+    falling = np.zeros((2000, 8))
+    for row in falling:
+        pairs = rng.integers(1, 4)
+        distance = rng.choice([-1.0, 1.0], 3) * 10.0 ** rng.uniform(-15, -1, 3)
+        root = (1.0 + distance) * np.exp(1j * rng.uniform(0.0, np.pi, 3))
+        root[1] = root[0] if rng.random() < 0.2 else root[1]
+        both = np.append(root[:pairs], root[:pairs].conj())
+        row[: 2 * pairs + 2] = np.real(np.poly([*both, rng.uniform(-0.9, 0.9)]))
+    with np.errstate(all="ignore"):
+        are_outside, are_open = _outside(falling)
+    for row, is_outside, is_open in zip(falling, are_outside, are_open, strict=True):
+        exact = [Fraction(float(c)) for c in row]
+        assert is_open or is_outside != has_roots_inside(exact)
+    assert 0.3 < np.mean(are_outside) < 0.9
+    assert 0.0 < np.mean(are_open) < 0.3
 
 
 def test_few_loops_are_answered_one_by_one(rng: np.random.Generator) -> None:

@@ -23,7 +23,6 @@ from jaxstab.exact.verdict import roots_outside
 from jaxstab.model.balls import Factored
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import reflections
 
 _SAMPLES = 512  # of half the circle
 _STEPS = 4  # of Newton's method
@@ -71,11 +70,11 @@ def sampled_loops(
         if units is not None:
             scale[:, 1:] = units[own]
         parts, ends = rows * scale[..., None], np.array([every[k][2] for k in own]) * scale[:, None]
-        unstable = np.array([every[k][3] for k in own])
         turned = (ends[:, 0, 1] == 0.0) & (ends[:, 0, 2] != 0.0)
         for rest in (parts[0], parts[1], scale, ends.transpose(0, 2, 1)):
             rest[turned, 1:] = rest[turned, :0:-1]
-        with np.errstate(all="ignore"):  # NaN tells where nothing is found
+        with np.errstate(all="ignore"):  # NaN tells where nothing is found, or known
+            unstable = _are_unstable([every[k][3] for k in own])
             values = np.fft.rfft(parts[0], 2 * _SAMPLES)[..., 1:-1]
             poles = _poles(parts[0], values)
             near = [_slowest(parts[0, :, 0]), *(_near(parts[0], values, k) for k in (0, 1))]
@@ -97,22 +96,32 @@ def sampled_loops(
             )
 
 
-def _in_floats(triple_at: TripleAt) -> tuple[Any, Any, Any, bool]:
+def _in_floats(triple_at: TripleAt) -> tuple[Any, Any, Any, Any]:
     """Coefficients of the parts, highest power first, what rounding took from them, and ends.
 
-    Last whether roots of base are outside, so far that small gains do not bring them in.
+    Last the factor of base without roots at 0, 1 and -1.
     """
-    small = 1e-9
     with working_precision(FIRST_BITS):
         triple = triple_at().monic()
         degree, sign = triple.degree, (-1) ** triple.degree
         high, low = zip(*(_pairs(part, degree) for part in triple), strict=True)
         ends = [[float(part.at_end(z)) * s for part in triple] for z, s in ((1, 1), (-1, sign))]
-        base = triple.base._replace(at_one=0, at_minus_one=0).of_radius(1.0 + small)
-        is_outside = _is_outside(base.rest)
-        if is_outside is None:
-            is_outside = bool(roots_outside(base.rest, most=0))
-    return high, low, ends, is_outside
+    return high, low, ends, triple.base.rest
+
+
+def _are_unstable(rests: list[Any]) -> Bool[np.ndarray, " loop"]:
+    """True where roots of base are outside, so far that small gains do not bring them in."""
+    radius = 1.0 + 1e-9
+    count = max(map(len, rests))
+    falling = np.zeros((len(rests), count))
+    for k, rest in enumerate(rests):
+        falling[k, : len(rest)] = rest.coeffs()[::-1]
+    is_outside, is_open = _outside(falling * radius ** np.arange(count)[::-1])
+    for k in np.flatnonzero(is_open).tolist():
+        with working_precision(FIRST_BITS):
+            around = Factored(rests[k]).of_radius(radius).rest
+            is_outside[k] = bool(roots_outside(around, most=0))
+    return is_outside
 
 
 def _pairs(part: Factored, degree: int) -> tuple[list[float], list[float]]:
@@ -124,18 +133,23 @@ def _pairs(part: Factored, degree: int) -> tuple[list[float], list[float]]:
     return [0.0] * before + high + [0.0] * after, [0.0] * before + low + [0.0] * after
 
 
-def _is_outside(p: Any) -> bool | None:
-    """True if roots of a polynomial are outside the circle, in float64; None where that is open."""
+def _outside(falling: Rows) -> tuple[Bool[np.ndarray, " loop"], Bool[np.ndarray, " loop"]]:
+    """Where roots of polynomials are outside the circle, and where float64 leaves that open."""
     # A step adds roundings of the size of the coefficients; errors and coefficients, over the
     # leading one, grow by 1/(1 - |k|). If |k| is above 1 by more than the error, the product of all
     # roots is outside; if no |k| is, the error must be less than the number that is left at last.
-    rising = list(map(float, p.coeffs()))
-    error = 2.0**-50 * len(rising) * sum(map(abs, rising)) / abs(rising[-1])
-    for k in reflections(rising):
-        if not abs(k) < 1.0:
-            return True if abs(k) > 1.0 + error else None
-        error /= 1.0 - abs(k)
-    return False if error < 1.0 else None
+    count = falling.shape[1]
+    error = 2.0**-50 * count * np.abs(falling).sum(axis=1) / np.abs(falling[:, 0])
+    is_outside, is_open = np.zeros((2, len(falling)), bool)
+    rest = falling
+    for _ in range(count - 1):
+        k = rest[:, -1] / rest[:, 0]
+        beyond = np.abs(k) - 1.0
+        is_outside |= ~is_open & (beyond > error)
+        is_open |= ~is_outside & ~(beyond < 0.0)
+        error = error / -beyond
+        rest = (rest - k[:, None] * rest[:, ::-1])[:, :-1]
+    return is_outside, ~is_outside & ~(~is_open & (error < 1.0))
 
 
 def _at(z: Complex128[np.ndarray, " row"], *parts: Rows) -> list[tuple[Any, Any]]:

@@ -172,11 +172,12 @@ def coordinates_of(parts: AffineParts) -> Coordinates:
     """The chart of a loop."""
     with working_precision(FIRST_BITS):
         whole = affine_triple(parts)
+        if max(whole.stiffness.degree, whole.damping.degree) < whole.degree:
+            return Coordinates(parts)
         highest = [k for k, part in enumerate(whole) if part.degree == whole.degree]
         pivot = parts.pivot if parts.pivot in highest else highest[0]
         first, second, third = (float(weight.mid()) for weight in _weights(whole, pivot))
-    is_own = max(whole.stiffness.degree, whole.damping.degree) < whole.degree
-    return Coordinates(parts if is_own else Chart(parts, pivot), pivot, (first, second, third))
+    return Coordinates(Chart(parts, pivot), pivot, (first, second, third))
 
 
 def _weights(whole: Triple, pivot: int) -> "list[arb]":
@@ -330,19 +331,22 @@ class PidParts(AffineParts):
 
     def triple(self) -> Triple:
         """The parts of p(z), by the two other gains in the order kp, ki, kd."""
-        own, late = ball_loop(self.loop), ball_loop(self.late)
-        lag, z = max(own.lag, late.lag), flint.fmpq_poly([0, 1])
-        period = exact(float(self.loop.sample_time))
-        summed = {"backward": z, "forward": flint.fmpq_poly([1]), "trapezoid": (z + 1) / 2}[
-            self.rule
-        ]
+        own = ball_loop(self.loop)
+        late = own if self.late is self.loop else ball_loop(self.late)
+        lag, one = max(own.lag, late.lag), flint.arb_poly([1])
+        half, period = flint.fmpq(1, 2), exact(float(self.loop.sample_time))
+        summed = {
+            "backward": Factored(one * period, power=1),
+            "forward": Factored(one * period),
+            "trapezoid": Factored(one * (half * period), at_minus_one=1),
+        }[self.rule]
         has_sum = self.given != "ki" or self.value != 0.0
-        pole = Factored.from_rational(z - 1 if has_sum else z**0)
+        pole = Factored(one, at_one=int(has_sum))
         by_position = _late(own.numerator.times(own.walls[0]), lag - own.lag)
         by_velocity = _late(late.numerator.times(late.walls[1]), lag - late.lag)
         parts = {
             "kp": pole.times(by_position),
-            "ki": by_position.times(Factored.from_rational(summed * period)),
+            "ki": by_position.times(summed),
             "kd": pole.times(by_velocity),
         }
         base = _late(pole.times(own.free), lag - own.lag)
@@ -383,4 +387,4 @@ class CouplingParts(AffineParts):
 
 
 def _late(part: Factored, samples: int) -> Factored:
-    return part._replace(power=part.power + samples)
+    return part._replace(power=part.power + samples) if samples else part

@@ -83,8 +83,8 @@ class Factored(NamedTuple):
         """The degree; -1 for 0."""
         if self.is_zero:
             return -1
-        known = self.power + self.at_one + self.at_minus_one + sum(n - 1 for n in self.windows)
-        return int(self.rest.degree()) + known
+        of_windows = sum(self.windows) - len(self.windows)
+        return int(self.rest.degree()) + self.power + self.at_one + self.at_minus_one + of_windows
 
     @property
     def leading(self) -> "arb":
@@ -115,7 +115,7 @@ class Factored(NamedTuple):
         """Return a multiple; one by the number 0 is the polynomial 0."""
         if factor == 0:
             return Factored(flint.arb_poly([]))
-        return self._replace(rest=self.rest * flint.arb(factor))
+        return Factored(self.rest * flint.arb(factor), *self[1:])
 
     def plus(self, other: "Factored") -> "Factored":
         """Return the sum, with the roots that the two are known to share."""
@@ -202,7 +202,7 @@ class Triple:
         unit = 1 / base.leading
         by_stiffness, by_damping = (part.scaled(unit) for part in others)
         rising = (base.rest * unit).coeffs()[:-1]
-        base = base._replace(rest=flint.arb_poly([*rising, flint.arb(1)]))
+        base = Factored(flint.arb_poly([*rising, flint.arb(1)]), *base[1:])
         return Triple(base, by_stiffness, by_damping, self.yielding)
 
     @cached_property

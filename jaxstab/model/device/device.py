@@ -515,6 +515,8 @@ def in_steps(device: Device) -> InSteps | None:
 def _compliance(device: Device) -> Rational:
     ports = _held(device)
     function = Rational(ports.encoder, ports.below)
+    if ports.excess is None and not (device.hands or device.bandwidths):
+        return function  # checked, and without a common factor
     for bandwidth in device.bandwidths:
         w = turn(bandwidth)
         function = function.times(Rational(w, polynomial([1.0, 0.0]) + w))
@@ -524,8 +526,8 @@ def _compliance(device: Device) -> Rational:
 @lru_cache(maxsize=256)
 def _held(device: Device) -> Ports:
     ports = device.mechanism.ports()
-    checked_compliance(Rational(ports.encoder, ports.below), device.mechanism)
-    ports = ports.reduced()
+    alone = checked_compliance(Rational(ports.encoder, ports.below), device.mechanism)
+    ports = Ports.at_one_point(*alone) if ports.excess is None else ports.reduced()
     for hand in device.hands:
         stiffness = hand.dynamic_stiffness()
         free, ports = ports.below * stiffness.denominator, ports.held_by(*stiffness)

@@ -16,7 +16,8 @@ frequencies, and below and above them, nothing is known; what can be asked is in
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
+from math import isclose
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
@@ -71,7 +72,8 @@ class InSteps(Part):
         """
         given = sample_time / self.step, delay_samples * sample_time / self.step
         count, late = map(round, given)
-        if not 1 <= count <= 1000 or not np.allclose(given, (count, late), rtol=1e-9, atol=1e-9):
+        are_whole = map(partial(isclose, rel_tol=1e-9, abs_tol=1e-9), given, (count, late))
+        if not (1 <= count <= 1000 and all(are_whole)):
             raise ValueError(
                 f"sample_time is {given[0]:g} steps of {self.step:g} s of the device in z and the "
                 f"delay {given[1]:g}; give whole numbers of steps, 1 to 1000 of them a sample."

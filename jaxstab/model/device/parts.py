@@ -230,7 +230,8 @@ def balls_of(polynomial: "fmpq_mpoly") -> list["arb"]:
     """Return the coefficients of the powers of s, lowest first, in balls of the precision set."""
     coefficients = [flint.arb(0)] * (degree_of(polynomial) + 1)
     for (power, power_of_pi), factor in polynomial.to_dict().items():
-        coefficients[power] += flint.arb(factor) * flint.arb.pi() ** power_of_pi
+        own = flint.arb(factor)
+        coefficients[power] += own * flint.arb.pi() ** power_of_pi if power_of_pi else own
     return coefficients
 
 
