@@ -138,7 +138,8 @@ static inline jaxstab_atlas *jaxstab_open(const char *path, const char **problem
     jaxstab_atlas *atlas = (jaxstab_atlas *)calloc(1, sizeof *atlas);
     H5Eset_auto2(H5E_DEFAULT, NULL, NULL);
     const hid_t file = H5Fopen(path, H5F_ACC_RDONLY, H5P_DEFAULT);
-    *problem = file < 0 ? "cannot be opened as HDF5" : "is damaged, or no atlas of version 4";
+    *problem = file < 0 ? "cannot be opened as HDF5"
+                        : "is damaged, no atlas of version 4, or too large for the memory here";
     int is_sound = atlas && file >= 0 && jaxstab_number(file, "schema_version") == 4;
     if (is_sound) {
         atlas->has_filters = jaxstab_number(file, "has_filters");
