@@ -14,22 +14,9 @@ from benchmarks import record, table
 from benchmarks.record import Row
 
 BENCHMARKS = (
-    "latency",
-    "boundary",
-    "regions",
-    "answers",
-    "resolution",
-    "throughput",
-    "accelerator",
-    "scaling",
-    "ranges",
-    "loops",
-    "exact",
-    "polynomials",
-    "rivals",
-    "stress",
-    "measured",
-)
+    "latency", "boundary", "regions", "answers", "resolution", "throughput", "accelerator",
+    "scaling", "ranges", "loops", "many", "exact", "polynomials", "rivals", "stress", "measured",
+)  # fmt: skip
 
 
 def main() -> int:

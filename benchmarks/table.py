@@ -24,7 +24,7 @@ _KINDS = {
 }
 
 _HEADING = ("task", "method", "run time", "error", "speed-up over LAPACK eigenvalues")
-_DELAYS = (0.0, 1.0, 5.0, 20.0, 60.0)  # of the throughput: the plot has others, and more rivals
+_DELAYS = (0.0, 1.0, 5.0, 20.0, 60.0)  # of the throughput, whose record has others
 _METHODS = ("verdict", "spectral_radius")
 _DEGREES = ("degree 25", "degree 205", "degree 485")  # of loops in balls
 _OWN_REGIONS = ("stable_region", "regions_of")
@@ -280,6 +280,13 @@ def _latency(rows: list[Row]) -> Iterator[Line]:
         yield f"fresh process: {row['section']}", row["method"], time, _error(row["error"]), ""
 
 
+def _many(rows: list[Row]) -> Iterator[Line]:
+    for one, alone in zip(rows[::2], rows[1::2], strict=True):
+        task = f"{one['points']:,} loops of degree 25: {one['section']}"
+        time = f"{_time(one['seconds'])} per loop, {_time(alone['seconds'])} one by one"
+        yield task, one["method"], time, _error(one["error"]), ""
+
+
 _LINES: dict[str, Callable[[list[Row]], Iterator[Line]]] = {
     "latency": _latency,
     "boundary": _boundary,
@@ -287,6 +294,7 @@ _LINES: dict[str, Callable[[list[Row]], Iterator[Line]]] = {
     "answers": _answers,
     "throughput": _throughput,
     "loops": _loops,
+    "many": _many,
     "exact": _exact,
     "polynomials": _polynomials,
     "scaling": _scaling,

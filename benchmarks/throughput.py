@@ -4,8 +4,6 @@ LAPACK's matrices are made beforehand; jaxstab starts from the axes. Where a riv
 random part of the slice, stated as ``points``. ``error`` is, for a verdict, how far from the
 boundary it was still wrong or undecided, as a share of the gains; for a radius, the largest error.
 Balls of python-flint judge both, at walls that come closer and closer to the boundary.
-``share_of_plain_recursion`` is the speed of verdicts beside that of the recursion of Schur and Cohn
-in float64 alone, jitted and in tiles, which proves nothing.
 """
 
 from collections.abc import Callable, Iterator
@@ -32,14 +30,11 @@ from benchmarks.truth.filtered import (
 )
 from benchmarks.truth.loop import as_mpf
 from jaxstab import Velocity
-from jaxstab.arrays import namespace
-from jaxstab.batches import MANY, compiled, over_tiles
 from jaxstab.conventions import Verdict
 
 GAMMA, DELTA = 1e-3, 0.015
 BAND = "largest distance from the boundary with a wrong or no verdict, as a share of the gains"
 RADIUS_ERROR = "largest error of the spectral radius by certified roots"
-PLAIN = "Schur-Cohn, not proved"
 
 _CUTOFF = 0.05  # of the sampling rate
 _PLAIN_ESTIMATOR = Velocity.difference(samples=1), difference(1)
@@ -53,7 +48,6 @@ _ESTIMATORS: dict[str, tuple[Velocity, Rational]] = {
     ),
 }
 _LAPACK_WORK = 2e4  # points times degree squared of a timed call: as short as those of jaxstab
-_TILE = 512  # the quickest of those tried
 _EIGENVALUES_ON_ACCELERATOR = 100
 _SHARES = 10.0 ** np.arange(-16.0, -2.0)  # of the gains, by which judged walls are moved
 _JUDGED = 16  # walls of the boundary
@@ -134,7 +128,7 @@ def _methods(
     few = lapack if jax.default_backend() == "cpu" else part(_EIGENVALUES_ON_ACCELERATOR)
     matrices = companions(family.coefficients(*lapack))
     on_device = jax.device_put(companions(family.coefficients(*few)))
-    verdict, plain = partial(jaxstab.verdict, **place), _plain_verdict(family)
+    verdict = partial(jaxstab.verdict, **place)
     radius = partial(jaxstab.spectral_radius, **place)
     companion = partial(radius, method="companion")
 
@@ -144,7 +138,6 @@ def _methods(
 
     return {
         "verdict": Method(len(slice_), partial(verdict, alpha, beta), verdict, is_verdict=True),
-        PLAIN: Method(len(slice_), partial(plain, alpha, beta), plain, is_verdict=True),
         "spectral_radius": Method(
             len(slice_), partial(radius, alpha, beta), lambda *walls: radius(*walls).value
         ),
@@ -152,11 +145,7 @@ def _methods(
             lapack.shape[1], partial(companion, *lapack), lambda *walls: companion(*walls).value
         ),
         "numpy eigvals": Method(len(matrices), partial(np.linalg.eigvals, matrices), family.radius),
-        "jax eigvals": Method(
-            len(on_device),
-            partial(_jax_eigenvalues, on_device),
-            by_jax,
-        ),
+        "jax eigvals": Method(len(on_device), partial(_jax_eigenvalues, on_device), by_jax),
     }
 
 
@@ -203,33 +192,4 @@ def _ratios(name: str, methods: dict[str, Method], timings: dict[str, Timing]) -
         word = rival.replace(" ", "_")
         ratios[f"times_{word}"] = seconds[rival] / seconds[name]
         ratios[f"cpu_times_{word}"] = cpu[rival] / cpu[name]
-    if name == "verdict":
-        ratios["share_of_plain_recursion"] = seconds[PLAIN] / seconds[name]
     return ratios
-
-
-def _plain_verdict(family: LoopFamily) -> Callable[..., np.ndarray]:
-    """Codes by the recursion of Schur and Cohn in float64, with what is 0 left out."""
-    parts = [part.tolist() for part in (family.plant, family.alpha, family.beta)]
-
-    def codes(alpha: Any, beta: Any) -> Any:
-        falling = [
-            b + s * alpha + d * beta if s or d else b for b, s, d in zip(*parts, strict=True)
-        ]
-        xp = namespace(alpha, beta)
-        inside = alpha + beta < np.inf
-        while len(falling) > 1:
-            ratio = falling[-1] / falling[0]
-            inside = inside & (abs(ratio) < 1.0)
-            pairs = zip(falling, reversed(falling), strict=True)
-            falling = [
-                one if isinstance(other, float) and other == 0.0 else one - ratio * other
-                for one, other in pairs
-            ][:-1]
-        return xp.where(inside, Verdict.STABLE, Verdict.UNSTABLE).astype(np.int8)
-
-    @compiled(many=MANY, wide=True, pointwise=True)
-    def in_tiles(alpha: Any, beta: Any) -> Any:
-        return over_tiles(codes, (alpha, beta), _TILE)
-
-    return lambda alpha, beta: np.asarray(in_tiles(alpha, beta))

@@ -120,6 +120,14 @@ def test_rows_hold_plain_values_only(name: str, records: dict[str, dict[str, Any
                 assert value is None or isinstance(value, str | int | float), (column, value)
 
 
+def test_limits_of_many_loops_are_those_that_balls_prove(
+    rows: Callable[..., list[dict[str, Any]]],
+) -> None:
+    found = rows("many", method="limits_of")
+    assert len(found) == 6
+    assert all(row["error"] < 1e-9 for row in found)
+
+
 @pytest.mark.parametrize("method", ["traced", "closed form"])
 def test_exact_ways_to_the_boundary_find_it_to_full_precision(
     method: str, rows: Callable[..., list[dict[str, Any]]]
