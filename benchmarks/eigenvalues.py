@@ -118,7 +118,7 @@ def best_gains() -> list[float]:
 
 
 def robust_region() -> list[float]:
-    """Whether the wall is stable at 3 x 3 hands, and the largest alpha of all walls that are."""
+    """True if the wall is stable at 3 x 3 hands, and the largest alpha of all walls that are."""
     alpha, beta = grid()
     stable = np.ones((_GRID, _GRID), bool)
     for gamma in np.linspace(1e-6, GAMMA, 3):

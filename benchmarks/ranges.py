@@ -179,7 +179,7 @@ def _judged(
 def is_limit_wrong(
     loop: HapticLoop, hands: HandRange, answer: RobustLimit, rng: np.random.Generator
 ) -> bool:
-    """Whether a hand refutes the proved wall, or a wall the limit."""
+    """True if a hand refutes the proved wall, or a wall the limit."""
     choices = [[*ends, rng.uniform(*ends)] for ends in vars(hands).values() for _ in range(_HANDS)]
     drawn = np.array([rng.choice(ends) for ends in choices]).reshape(3, -1).T
     sample = [answer.loop, *(_held(loop, hand) for hand in drawn)]

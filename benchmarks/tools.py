@@ -150,7 +150,7 @@ def by_fractions(line: Line, t: float) -> bool:
 
 
 def by_simulation(line: Line, t: float) -> bool:
-    """Whether a joint comes closer to rest within 5,000 steps of MuJoCo."""
+    """True if a joint comes closer to rest within 5,000 steps of MuJoCo."""
     import mujoco
 
     joint, held = line.joint, line.joint.substeps > 0

@@ -232,7 +232,7 @@ def polynomial_exactly(matrix: np.ndarray) -> list[Any]:
 
 
 def is_stable_exactly(matrix: np.ndarray) -> bool | None:
-    """Whether all eigenvalues are inside; None within 1e-40 of the circle."""
+    """True if all eigenvalues are inside; None within 1e-40 of the circle."""
     rising = polynomial_exactly(matrix)[::-1]
     while rising[0] == 0:
         rising = rising[1:]

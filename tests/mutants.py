@@ -71,7 +71,7 @@ class Mutant(NamedTuple):
     new: str
 
     def is_python(self) -> bool:
-        """Whether it compiles: ``not not in`` does not."""
+        """True if it compiles: ``not not in`` does not."""
         try:
             ast.parse(self.source())
         except SyntaxError:

@@ -48,7 +48,7 @@ def near(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def is_right(roots: list[mpc], values: dict[str, float]) -> bool:
-    """Whether the fields of a node are those of its roots; unknown ones may be anything."""
+    """True if the fields of a node are those of its roots; unknown ones may be anything."""
     moduli = sorted((abs(root) for root in roots), reverse=True)
     upper, error = values["spectral_radius"], values["spectral_radius_error"]
     right = math.isnan(upper) or mpf(upper) - mpf(error) <= moduli[0] <= mpf(upper)

@@ -33,7 +33,7 @@ OMEGA = jaxstab.HapticLoop(
 def is_stable(
     *, wall: tuple[float, float], window: int = 1, pole: Any = 0, **numbers: float
 ) -> bool:
-    """Whether p(z) of a mass on a damper has all roots inside: 60 digits, any whole delay.
+    """True if p(z) of a mass on a damper has all roots inside: 60 digits, any whole delay.
 
     z^w D (z - q) z^n + N (K (z - q) z^n + B (1 - q)/(n T) z (z^n - 1)), w the delay, n the window
     and q the pole of a low pass.

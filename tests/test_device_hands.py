@@ -85,7 +85,7 @@ class Case(NamedTuple):
         return float(np.abs(np.linalg.eigvals(step)).max())
 
     def is_stable(self, wall: tuple[float, float], body: Floats) -> bool:
-        """Whether a wall is stable with a hand; by balls where the radius is next to 1."""
+        """True if a wall is stable with a hand; by balls where the radius is next to 1."""
         radius = self.radius(wall, body)
         if abs(radius - 1.0) > NEAR:
             return radius < 1.0

@@ -69,7 +69,7 @@ class Joint:
         )
 
     def inside(self, kp: float, kd: float) -> bool | None:
-        """Whether it comes to rest under a position actuator; None: neither in time."""
+        """True if it comes to rest under a position actuator; None: neither in time."""
         model = self.model(f'<position joint="joint" kp="{kp!r}" kv="{kd!r}"/>')
         data = mujoco.MjData(model)
         data.qpos[0] = START
@@ -188,7 +188,7 @@ TWO = """
 def stays_together(
     masses: dict[str, float], gains: tuple[float, float], late: tuple[int, int], substeps: int
 ) -> bool | None:
-    """Whether two masses come together under a spring and a damper that a program computes."""
+    """True if two masses come together under a spring and a damper that a program computes."""
     model = mujoco.MjModel.from_xml_string(TWO.format(**masses))
     data = mujoco.MjData(model)
     data.qpos[0] = before = START

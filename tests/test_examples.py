@@ -76,7 +76,7 @@ def methods() -> Iterator[object]:
 
 
 def is_documented(member: object) -> bool:
-    """Whether a member has a docstring of its own: methods and properties, not fields."""
+    """True if a member has a docstring of its own: methods and properties, not fields."""
     return callable(member) or hasattr(member, "func") or isinstance(member, property | classmethod)
 
 

@@ -91,7 +91,7 @@ def test_55_the_least_inertia_is_the_known_one(
 
 
 def settles(model: Any, joint: str, step_torque: Any = None) -> bool | None:
-    """Whether a joint comes to rest; None: neither in time."""
+    """True if a joint comes to rest; None: neither in time."""
     data = mujoco.MjData(model)
     place = model.joint(joint).qposadr[0]
     data.qpos[place] = START
@@ -163,7 +163,7 @@ class Case:
         return f'<motor joint="{self.joint}"/>'
 
     def settles(self, model: Any) -> bool | None:
-        """Whether MuJoCo brings it to rest: with its own actuator, or under torques of samples."""
+        """True if MuJoCo brings it to rest: with its own actuator, or under torques of samples."""
         if self.kind in RULES:
             return settles(model, self.joint)
         place, (kp, kd) = model.joint(self.joint).qposadr[0], self.gains

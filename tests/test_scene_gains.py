@@ -118,7 +118,7 @@ def held_mass(numbers: tuple[float, ...], late: float) -> recursions.HeldMass:
 
 
 def judged(tables: Tables, pair: dict[str, Fraction], wall: float = 0.0) -> bool | None:
-    """Whether exact gains are stable in the recursion of a scene, in exact numbers."""
+    """True if exact gains are stable in the recursion of a scene, in exact numbers."""
     own, exact = {**tables["loop"]}, {"one": Fraction(1)}
     match own.pop("kind"):
         case "simulator":

@@ -229,7 +229,7 @@ def parts(name: str, samples: float | None = None) -> tuple[Polynomial, Polynomi
 
 
 def is_stable(name: str, stiffness: float, damping: float, samples: float | None = None) -> bool:
-    """Whether all roots of p(z) are inside the unit circle (Schur 1917, Cohn 1922)."""
+    """True if all roots of p(z) are inside the unit circle (Schur 1917, Cohn 1922)."""
     with mp.workdps(DIGITS):
         base, position, velocity = parts(name, samples)
         falling = added(

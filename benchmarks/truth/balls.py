@@ -156,7 +156,7 @@ def code_of(moduli: list[flint.arb]) -> int:
 
 
 def are_roots_inside(coefficients: list[flint.arb]) -> bool | None:
-    """Whether all roots of a real polynomial lie inside the unit circle; None where balls are wide.
+    """True if all roots of a real polynomial lie inside the unit circle; None where balls are wide.
 
     Quicker than its roots: the criterion of Schur and Cohn in ball arithmetic.
     """
@@ -248,7 +248,7 @@ class BallLoop(NamedTuple):
         return alpha, -(stiffness.conjugate() * base).imag / below
 
     def is_stable(self, alpha: float, beta: float, radius: float = 1.0) -> bool | None:
-        """Whether all roots lie inside the circle of a radius; None where the balls do not tell."""
+        """True if all roots lie inside the circle of a radius; None where the balls do not tell."""
         p = (self if radius == 1.0 else self.within(radius)).polynomial(alpha, beta)
         with flint.ctx.workprec(self.bits):
             return are_roots_inside(p)

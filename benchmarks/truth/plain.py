@@ -24,7 +24,7 @@ Falling = list[mpf]  # coefficients, highest power first
 
 
 def is_stable(falling: Sequence[Fraction | mpf], unknown: Fraction | mpf = 0) -> bool | None:
-    """Whether all roots lie inside the circle (Jury 1964), exactly where all numbers are fractions.
+    """True if all roots lie inside the circle (Jury 1964), exactly where all numbers are fractions.
 
     None if the degree is less, or where a decision is closer than what is unknown.
     """
@@ -88,7 +88,7 @@ class Loop(NamedTuple):
             return falling
 
     def is_stable(self, stiffness: mpf | float, damping: mpf | float) -> bool | None:
-        """Whether a wall is stable; None where 60 digits do not tell."""
+        """True if a wall is stable; None where 60 digits do not tell."""
         return is_stable_in_digits(self.polynomial(stiffness, damping))
 
 
