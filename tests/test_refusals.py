@@ -324,6 +324,20 @@ def test_issue_31_31_a_scheduler_that_is_no_address_is_named() -> None:
         distributed.default_client().close(timeout=0.1)
 
 
+@pytest.mark.parametrize(
+    ("given", "names"),
+    [
+        (["check", "--wall", "1000"], "NAME K B"),
+        (["design", "--wall", "1000"], "K B"),
+        (["limits", "--gains", "40"], "K B"),
+    ],
+)
+def test_an_option_with_too_few_values_names_them(given: list[str], names: str) -> None:
+    done = run(*given)
+    assert done.exit_code == 2
+    assert done.stderr.endswith(f" They are {names}.\n")
+
+
 def test_an_atlas_is_asked_about_a_wall_beside_those_of_a_scene(tmp_path: Path) -> None:
     file, atlas = tmp_path / "scene.toml", ROOT / "data/golden/atlas-v4.h5"
     file.write_text(scene_text("soft"), encoding="utf-8")

@@ -56,7 +56,7 @@ class OneSentence(click.Group):
                 code = run()
             stdout.flush()
         except click.ClickException as error:
-            words = error.format_message()
+            words = error.format_message() + self._missing(error)
             _fail(words if words.startswith("Usage:") else f"jaxstab: {words}")
         except click.Abort:
             _fail(_INTERRUPTED, 130)
@@ -74,6 +74,17 @@ class OneSentence(click.Group):
         except Exception:  # noqa: BLE001  a fault of ours, which says nothing of a wall
             _fail(traceback.format_exc())
         sys.exit(code if isinstance(code, int) else 0)
+
+    def _missing(self, error: click.ClickException) -> str:
+        """The names of the values of an option that has too few: click says how many it takes."""
+        if not isinstance(error, click.BadOptionUsage):
+            return ""
+        for command in self.commands.values():
+            for option in command.params:
+                takes = f"requires {option.nargs} arguments"
+                if error.option_name in option.opts and takes in error.message:
+                    return f" They are {option.metavar}."
+        return ""
 
 
 def _open_what_is_closed() -> None:
