@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from campaign import many as sized
+from flint import arb_poly
 from jax import jit, vmap
 from mpmath import conj, expj, mpf, polyval, workdps
 
@@ -21,8 +22,9 @@ from benchmarks.truth.filtered import FilteredLoop, average, difference, low_pas
 from jaxstab import Device, Filter, HapticLoop, Mode, Velocity, Verdict, limits_of, regions_of
 from jaxstab.batches import ahead
 from jaxstab.loop import many as loops_together
-from jaxstab.loop.samples import _outside
+from jaxstab.loop.samples import _are_unstable
 from jaxstab.model.filters import has_roots_inside
+from jaxstab.point.polynomials import codes_in_float64
 from jaxstab.region.batch import (
     SLOTS,
     Triples,
@@ -352,13 +354,16 @@ def test_what_float64_says_of_roots_outside_the_circle_is_so_by_fractions(
         root[1] = root[0] if rng.random() < 0.2 else root[1]
         both = np.append(root[:pairs], root[:pairs].conj())
         row[: 2 * pairs + 2] = np.real(np.poly([*both, rng.uniform(-0.9, 0.9)]))
-    with np.errstate(all="ignore"):
-        are_outside, are_open = _outside(falling)
-    for row, is_outside, is_open in zip(falling, are_outside, are_open, strict=True):
+    codes = codes_in_float64(falling)
+    are_unstable = _are_unstable([arb_poly(row[::-1].tolist()) for row in falling])
+    for row, code, is_unstable in zip(falling, codes, are_unstable, strict=True):
         exact = [Fraction(float(c)) for c in row]
-        assert is_open or is_outside != has_roots_inside(exact)
-    assert 0.3 < np.mean(are_outside) < 0.9
-    assert 0.0 < np.mean(are_open) < 0.3
+        assert code == Verdict.UNDECIDED or (code == Verdict.STABLE) == has_roots_inside(exact)
+        powers = reversed(range(len(row)))
+        around = [c * Fraction(1.0 + 1e-9) ** k for c, k in zip(exact, powers, strict=True)]
+        assert is_unstable != has_roots_inside(around)
+    assert 0.3 < np.mean(codes == Verdict.UNSTABLE) < 0.9
+    assert 0.0 < np.mean(codes == Verdict.UNDECIDED) < 0.3
 
 
 def test_few_loops_are_answered_one_by_one(rng: np.random.Generator) -> None:

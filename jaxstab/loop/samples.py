@@ -18,11 +18,13 @@ from jaxtyping import Bool, Complex128, Float64, Int64
 
 from jaxstab.arrays import Array
 from jaxstab.batches import alike
+from jaxstab.conventions import Verdict
 from jaxstab.exact import TripleAt
 from jaxstab.exact.verdict import roots_outside
 from jaxstab.model.balls import Factored
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.model.double_double import DoubleDouble
+from jaxstab.point.polynomials import codes_in_float64
 
 _SAMPLES = 512  # of half the circle
 _STEPS = 4  # of Newton's method
@@ -73,8 +75,8 @@ def sampled_loops(
         turned = (ends[:, 0, 1] == 0.0) & (ends[:, 0, 2] != 0.0)
         for rest in (parts[0], parts[1], scale, ends.transpose(0, 2, 1)):
             rest[turned, 1:] = rest[turned, :0:-1]
-        with np.errstate(all="ignore"):  # NaN tells where nothing is found, or known
-            unstable = _are_unstable([every[k][3] for k in own])
+        unstable = _are_unstable([every[k][3] for k in own])
+        with np.errstate(all="ignore"):  # NaN tells where nothing is found
             values = np.fft.rfft(parts[0], 2 * _SAMPLES)[..., 1:-1]
             poles = _poles(parts[0], values)
             near = [_slowest(parts[0, :, 0]), *(_near(parts[0], values, k) for k in (0, 1))]
@@ -111,13 +113,14 @@ def _in_floats(triple_at: TripleAt) -> tuple[Any, Any, Any, Any]:
 
 def _are_unstable(rests: list[Any]) -> Bool[np.ndarray, " loop"]:
     """True where roots of base are outside, so far that small gains do not bring them in."""
-    radius = 1.0 + 1e-9
-    count = max(map(len, rests))
+    radius, roundings = 1.0 + 1e-9, 4.0  # of a coefficient, of a power of the radius, a product
+    count = max(2, *map(len, rests))
     falling = np.zeros((len(rests), count))
     for k, rest in enumerate(rests):
         falling[k, : len(rest)] = rest.coeffs()[::-1]
-    is_outside, is_open = _outside(falling * radius ** np.arange(count)[::-1])
-    for k in np.flatnonzero(is_open).tolist():
+    codes = codes_in_float64(falling * radius ** np.arange(count)[::-1], roundings=roundings)
+    is_outside = codes == Verdict.UNSTABLE
+    for k in np.flatnonzero(codes == Verdict.UNDECIDED).tolist():
         with working_precision(FIRST_BITS):
             around = Factored(rests[k]).of_radius(radius).rest
             is_outside[k] = bool(roots_outside(around, most=0))
@@ -131,25 +134,6 @@ def _pairs(part: Factored, degree: int) -> tuple[list[float], list[float]]:
     high = list(map(float, falling))
     low = [float(c - h) for c, h in zip(falling, high, strict=True)]
     return [0.0] * before + high + [0.0] * after, [0.0] * before + low + [0.0] * after
-
-
-def _outside(falling: Rows) -> tuple[Bool[np.ndarray, " loop"], Bool[np.ndarray, " loop"]]:
-    """Where roots of polynomials are outside the circle, and where float64 leaves that open."""
-    # A step adds roundings of the size of the coefficients; errors and coefficients, over the
-    # leading one, grow by 1/(1 - |k|). If |k| is above 1 by more than the error, the product of all
-    # roots is outside; if no |k| is, the error must be less than the number that is left at last.
-    count = falling.shape[1]
-    error = 2.0**-50 * count * np.abs(falling).sum(axis=1) / np.abs(falling[:, 0])
-    is_outside, is_open = np.zeros((2, len(falling)), bool)
-    rest = falling
-    for _ in range(count - 1):
-        k = rest[:, -1] / rest[:, 0]
-        beyond = np.abs(k) - 1.0
-        is_outside |= ~is_open & (beyond > error)
-        is_open |= ~is_outside & ~(beyond < 0.0)
-        error = error / -beyond
-        rest = (rest - k[:, None] * rest[:, ::-1])[:, :-1]
-    return is_outside, ~is_outside & ~(~is_open & (error < 1.0))
 
 
 def _at(z: Complex128[np.ndarray, " row"], *parts: Rows) -> list[tuple[Any, Any]]:

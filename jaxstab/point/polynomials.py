@@ -48,8 +48,8 @@ def is_schur(coefficients: Numbers) -> Int8[Array, "*grid"]:
     """
     given = _checked(coefficients)
     if is_any_jax(given):
-        return _codes(given)
-    codes = np.array(_codes(given))
+        return codes_in_float64(given)
+    codes = np.array(codes_in_float64(given))
     for place in np.flatnonzero(codes == Verdict.UNDECIDED):
         row = given.reshape(-1, given.shape[-1])[place].tolist()
         codes.flat[place] = affine_verdict(_parts(row), 0.0, 0.0)
@@ -116,14 +116,18 @@ def _monic(coefficients: Array) -> Array:
     return xp.concatenate([given, xp.zeros((*given.shape[:-1], missing))], axis=-1)
 
 
-@compiled(many=MANY_COEFFICIENTS)
-def _codes(coefficients: Array) -> Array:
+@compiled(static=("roundings",), many=MANY_COEFFICIENTS)
+def codes_in_float64(coefficients: Array, *, roundings: float = 0.0) -> Array:
+    """The codes of ``is_schur``, and UNDECIDED where float64 leaves that open.
+
+    Coefficients may be right to so many roundings.
+    """
     xp = namespace(coefficients)
     with np.errstate(all="ignore"):
         columns = xp.moveaxis(_monic(coefficients), -1, 0)
         degree = len(columns) - 1
         size = xp.sum(abs(columns), axis=0)
-        error = SAFETY * UNIT * size + UNDERFLOW
+        error = SAFETY * (1.0 + roundings) * UNIT * size + UNDERFLOW
         even, odd = xp.sum(columns[::2], axis=0), xp.sum(columns[1::2], axis=0)
         end_error = error + degree * UNIT * size
         ends = Ends(even + odd, end_error, even - odd, end_error)  # (-1)^n p(-1)
