@@ -416,11 +416,52 @@ def test_design_of_no_value_exits_with_1_and_json_has_all_digits() -> None:
     assert walls["soft"]["least_cutoff"] == pytest.approx(2.548, rel=1e-3)
 
 
+def test_an_end_next_to_0_ends_the_search() -> None:
+    """Without a damper a free mass has two roots at 1; with any it has one, which drifts."""
+    free = jaxstab.HapticLoop(device_mass=0.1, device_damping=0.0, sample_time=1e-3)
+    found = free.range_of("device_damping", 0.0, 0.0, count=5)
+    assert 0.0 < found.least < 1e-15
+    assert found.largest == found.between[1]
+
+
+def test_no_mass_makes_no_loop() -> None:
+    free = jaxstab.HapticLoop(device_mass=0.1, device_damping=0.0, sample_time=1e-3)
+    found, above = (
+        free.range_of("device_mass", 1000.0, 10.0, between=(low, 1.0)) for low in (0.0, 1e-4)
+    )
+    assert found.least == pytest.approx(above.least, rel=1e-9)
+
+
+def test_what_is_not_proved_for_all_hands_holds_for_those_that_were_tried(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A search that is refuted to its end, by one hand after the other."""
+    held, light = (
+        jaxstab.HapticLoop(device_mass=0.1, device_damping=b, sample_time=1e-3) for b in (5.0, 0.0)
+    )
+    monkeypatch.setattr(jaxstab.loop.backwards, "_for_all", lambda found, _: (found, [light]))
+    found = held.range_of("device_mass", 1000.0, 5.0, hands=jaxstab.HandRange())
+    assert not found.is_proved
+    assert "\n  not proved for every hand\n" in repr(found)
+    assert found.least == pytest.approx(light.range_of("device_mass", 1000.0, 5.0).least)
+    assert found.least > 1.001 * held.range_of("device_mass", 1000.0, 5.0).least
+
+
+def test_single_values_are_printed_once() -> None:
+    estimator = jaxstab.Velocity.difference(window=0.01) * jaxstab.Filter.average(window=0.003)
+    loop = jaxstab.HapticLoop(
+        device_mass=0.1, device_damping=0.0, sample_time=1e-3, velocity=estimator
+    )
+    assert "\n  0.0001 s\n" in repr(loop.range_of("sample_time", 100.0, 10.0))
+
+
 def test_a_table_of_scenes_has_the_ends() -> None:
     files = ["data/scenes/omega.toml", "data/scenes/joint.toml"]
-    head, omega, _ = run("design", *files, "--for", "window").stdout.splitlines()
-    assert "soft: largest window" in head
-    assert "28 samples" in omega
+    head, omega, joint = run("design", *files, "--for", "mass").stdout.splitlines()
+    assert "soft: least mass" in head
+    assert "soft: least inertia" in head
+    assert "0.1575864047 kg" in omega
+    assert "0.0007353363611 kg m^2" in joint
 
 
 def test_a_delay_in_samples_goes_with_the_sample_time() -> None:

@@ -128,7 +128,7 @@ def test_walls_are_judged_as_their_roots_are(name: str) -> None:
     case, rng = CASES[name], np.random.default_rng(55)
     loops = [measured(case, noisy(case, 55)), measured(case, noisy(case, 55), NOISE)]
     limits = loops[0].limits()
-    count = many(300, 15)
+    count = many(300, 8)
     walls = rng.uniform(0.0, 2.0, (count, 2)) * [limits.stiffness, limits.damping]
     truth = np.array([case.is_stable(*wall) for wall in walls])
     plain, within = (np.asarray(loop.verdict(*walls.T)) for loop in loops)
@@ -189,6 +189,42 @@ def test_margins_are_those_of_the_device_within_its_error() -> None:
     assert case._replace(whole=case.whole + samples).is_stable(*wall)
     assert not case._replace(whole=case.whole + samples + 2).is_stable(*wall)
     assert repr(found).endswith("from measured data, not proved")
+
+
+@pytest.mark.parametrize("size", [0.93, 0.95, 1.02, 1.05])
+def test_margins_hold_where_only_another_response_reaches_1(size: float) -> None:
+    """L = s (1 - a)/(z - a) stays near 1 over decades: an error of 10 % moves where it is 1."""
+    error, a, lag = 0.1, np.exp(-2.0 * pi * 0.03), np.exp(-2j * pi * HERTZ * 1e-3)
+    shape = (1.0 - a) / (1.0 / lag - a)
+    device = Device.from_response(HERTZ, size / 285.0 * shape, error=error)
+    found = HapticLoop(device=device, sample_time=1e-3).frequency_margins(285.0, 0.0)
+    hertz = np.geomspace(0.1, 500.0, 400_001)
+    opened = (1.0 - a) / (np.exp(2j * pi * hertz * 1e-3) - a)
+    within = abs(abs(size * opened) - 1.0) <= error * abs(size * opened)
+    r = abs(size * opened[within])
+    more = np.arccos((1.0 / r + r * (1.0 - error**2)) / 2.0)  # by the triangle 0, L, L'
+    lags = np.angle(-opened[within]) % (2.0 * pi) - more
+    assert float(found.phase.value) == pytest.approx(np.degrees(lags.min()), abs=0.5)
+    delay = np.min(lags / (2.0 * pi * hertz[within]))
+    assert float(found.delay.value) == pytest.approx(delay, rel=0.02)
+    samples = int(delay / 1e-3)
+    for gain in size * (1.0 + error * np.array([-0.99, -0.5, 0.5, 0.99])):
+        late = np.append([1.0, -a], np.zeros(samples)) + gain * (1.0 - a) * np.eye(samples + 2)[-1]
+        assert np.max(abs(np.roots(late))) < 1.0
+    beyond = 1.25 * samples
+    assert any(
+        np.max(abs(np.roots([1.0, -a, *[0.0] * (n - 1), 1.099 * size * (1.0 - a)]))) > 1.0
+        for n in range(samples, round(beyond) + 1)
+    )
+
+
+def test_no_gain_and_no_largest_gain_make_no_warning() -> None:
+    held = 1.0 / (300.0 * (1.0 + 1j * HERTZ / 30.0))
+    loop = HapticLoop(device=Device.from_response(HERTZ, held), sample_time=1e-3)
+    for wall in ((285.0, 0.0), (0.0, 0.5)):
+        largest = loop.frequency_margins(*wall).largest_gain
+        assert float(largest.value) == inf
+        assert np.isnan(largest.frequency)
 
 
 def test_a_response_of_python_control_is_taken() -> None:

@@ -80,7 +80,8 @@ class StableValues(NamedTuple):
         tried: how many were.
         is_complete: whether these are all that there are.
         is_proved: whether the stable side of each end is proved, for all hands where there is a
-            range of them; it then lies inside of what the hands that were tried allow.
+            range of them; it then lies inside of what the hands that were tried allow. Else it is
+            proved for the hands that were tried.
 
     Example:
         >>> joint = jaxstab.HapticLoop(
@@ -124,8 +125,14 @@ class StableValues(NamedTuple):
             [number_text(end.stable, 10, way) for end, way in zip(pair, ways, strict=True)]
             for pair in self.intervals
         ]
-        lines = [f"  {low} to {high} {self.unit}".rstrip() for low, high in ends] or ["  none"]
-        return "\n".join([f"StableValues of {self.quantity}:", *lines, f"  {self.scan}"])
+        single = [low.stable == high.stable for low, high in self.intervals]
+        lines = [
+            f"  {low if is_one else f'{low} to {high}'} {self.unit}".rstrip()
+            for (low, high), is_one in zip(ends, single, strict=True)
+        ]
+        doubt = [] if self.is_proved else ["  not proved for every hand"]
+        head = f"StableValues of {self.quantity}:"
+        return "\n".join([head, *(lines or ["  none"]), *doubt, f"  {self.scan}"])
 
 
 class Scan(NamedTuple):
@@ -174,13 +181,14 @@ def stable_values(
             beyond = values[index + step]
         while not scan.is_complete and abs(beyond - stable) > close * max(stable, beyond):
             middle = 0.5 * (stable + beyond)
-            code = judged(middle)
+            code = judged(middle) if middle > tiny else Verdict.UNDECIDED
             if code == Verdict.UNDECIDED:
                 break
             stable, beyond = (middle, beyond) if code == Verdict.STABLE else (stable, middle)
         return StableEnd(stable, beyond if judged(beyond) == Verdict.UNSTABLE else nan)
 
     values, intervals, first = scan.values, [], 0
+    tiny = 2.0**-80 * max(map(abs, values))  # so near 0 nothing is enclosed
     pairs = zip(values, known or [Verdict.UNDECIDED] * len(values), strict=True)
     codes = [judged(value) if code == Verdict.UNDECIDED else code for value, code in pairs]
     if len(refusals) == len(values):
@@ -235,9 +243,9 @@ def range_of(
         found = stable_values((quantity, UNITS[quantity]), scan, judge, known)
         found, refuting = (found, []) if every is None else _for_all(found, worst)
         if not refuting:
-            break
+            return found
         loops += refuting
-    return found
+    return stable_values((quantity, UNITS[quantity]), scan, judge)._replace(is_proved=False)
 
 
 def _for_all(found: StableValues, worst: Callable[[float], Any]) -> tuple[StableValues, list[Any]]:
@@ -263,10 +271,12 @@ def _for_all(found: StableValues, worst: Callable[[float], Any]) -> tuple[Stable
 
 def _verdicts(loops: list[Any], quantity: str, wall: Gains, scan: Scan) -> Any:
     """Verdicts on a scan, all at once."""
-    values = np.array(scan.values)
+    no_mass = int(quantity == "device_mass" and scan.values[0] == 0.0)  # makes no loop
+    values = np.array(scan.values[no_mass:])
     codes = [np.asarray(replace(each, **{quantity: values}).verdict(*wall)) for each in loops]
     is_unstable = np.any(np.equal(codes, Verdict.UNSTABLE), axis=0)
-    return np.where(is_unstable, Verdict.UNSTABLE, np.max(codes, axis=0)).tolist()
+    found = np.where(is_unstable, Verdict.UNSTABLE, np.max(codes, axis=0)).tolist()
+    return [Verdict.UNDECIDED] * no_mass + found
 
 
 def _scan(loop: Any, quantity: str, wall: Gains, count: int) -> Scan:

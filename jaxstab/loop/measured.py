@@ -294,23 +294,46 @@ class MeasuredLoop(NamedTuple):
         below = np.maximum(abs(1.0 + opened) - more, 0.0)
         with np.errstate(all="ignore"):
             peaks = 1.0 / below, (size + more) / below, 2.0 * below / (abs(1.0 - opened) + more)
-            logs = np.log(size)
-            share = logs[:-1] / (logs[:-1] - logs[1:])
-        at = np.flatnonzero((share >= 0.0) & (share < 1.0))
-        turned = np.angle(opened[at + 1] / opened[at])
-        lags = (np.angle(-opened[at]) + share[at] * turned) % (2.0 * pi)
-        places = hertz[at] + share[at] * (hertz[at + 1] - hertz[at])
-        spread = np.arcsin(self.error[at])
+        lags, spread, places = self._at_one(opened)
         least = _least(np.degrees(np.minimum(lags, 2.0 * pi - lags) - spread), places)
         delay = _least((lags - spread) / (2.0 * pi * places), places)
         tops = [(float(own[k]), float(hertz[k])) for own in peaks[:2] for k in [np.argmax(own)]]
-        ends = [(end.value, self._where(end.value * wall)) for end in (low, high)]
+        ends = [
+            (end.value, self._where(end.value * wall) if np.isfinite(end.value) else nan)
+            for end in (low, high)
+        ]
         return [*ends, least, delay, *tops, _least(peaks[2], hertz)]
+
+    def _at_one(self, opened: Values) -> tuple[Places, Places, Places]:
+        """Where |L| may be 1: by how much L leads -1, by how much it may lag more, and where.
+
+        The disc of radius e r around L, r = |L|, meets the circle at angles from that of L with the
+        cosine (1/r + r (1 - e^2))/2: first at r (1 + e) = 1, widest at r^2 (1 - e^2) = 1. There, at
+        r = 1 and at all frequencies in between they are taken; log L goes straight from one
+        frequency to the next.
+        """
+        with np.errstate(all="ignore"):
+            logs, sides = np.log(opened), (np.log1p(self.error), np.log1p(-self.error))
+            turned = np.log(opened[1:] / opened[:-1])
+            ways = [logs.real + own for own in (0.0, *sides, 0.5 * (sides[0] + sides[1]))]
+            shares = np.array([own[:-1] / (own[:-1] - own[1:]) for own in ways])
+        at = np.nonzero((shares >= 0.0) & (shares < 1.0))
+        count = len(opened)
+        index = np.concatenate([at[1], np.arange(count - 1), [count - 2]])
+        share = np.concatenate([shares[at], np.zeros(count - 1), [1.0]])
+        point = logs[index] + share * turned[index]
+        error, places = (
+            own[index] + share * (own[index + 1] - own[index])
+            for own in (self.error, self.frequency)
+        )
+        size, close = np.exp(point.real), 1e-12
+        cosine = 0.5 * (1.0 / size + size * (1.0 - error**2))
+        meets = cosine < 1.0 + close
+        lags = (point.imag + pi) % (2.0 * pi)
+        return lags[meets], np.arccos(np.clip(cosine, -1.0, 1.0))[meets], places[meets]
 
     def _where(self, wall: Wall) -> float:
         """The frequency at which 1 + L is least."""
-        if not np.all(np.isfinite(wall)):
-            return nan
         return float(self.frequency[np.argmin(abs(1.0 + self.opened(wall[None])[0]))])
 
 
