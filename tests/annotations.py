@@ -1,8 +1,8 @@
-"""The annotations of jaxstab, checked at every call: types by beartype, shapes by jaxtyping.
+"""The annotations of jaxstab, checked by beartype (types) and jaxtyping (shapes).
 
 jaxtyping's own decorator binds the arguments of each call, also of functions without a shape, and
 checks them twice; among many small NumPy functions that is nine tenths of a test's time. This one
-refuses as much.
+refuses as much, and in each test it checks the first calls of a function, not those of long loops.
 """
 
 from collections.abc import Callable
@@ -10,15 +10,28 @@ from dataclasses import is_dataclass
 from functools import wraps
 from inspect import isclass, isgeneratorfunction
 from types import CodeType, FunctionType
-from typing import Any, get_args, get_type_hints
+from typing import Any, NamedTuple, get_args, get_type_hints
 
 import jaxtyping
 from beartype import BeartypeConf, beartype
 from jaxtyping import AbstractArray, TypeCheckError, jaxtyped
 
 _by_type = beartype(conf=BeartypeConf(violation_type=TypeCheckError))
-_made: dict[CodeType, Any] = {}  # what beartype has made of a function
-_known: dict[CodeType, tuple[dict[str, Any], bool]] = {}  # its annotations; whether one has a shape
+
+CHECKED = 20  # calls of a function in each test
+
+
+class _Known(NamedTuple):
+    """What is known of a function by its code: one within another is made at each call of that."""
+
+    code: CodeType
+    annotations: dict[str, Any]
+    has_sizes: bool
+    left: list[int]  # calls that will be checked
+    made: list[Any]  # what beartype made of it
+
+
+_known: dict[int, _Known] = {}  # by the identity of the code: to hash it takes as long as a check
 
 
 def install() -> None:
@@ -37,23 +50,47 @@ def checked(target: Any) -> Any:
         return type(target)(checked(target.__func__))
     if isinstance(target, property):
         return property(checked(target.fget))
+    known = _known.get(id(target.__code__))
+    if known is None:
+        hints = known_annotations(target)
+        sizes = any(map(has_shape, hints.values()))
+        known = _Known(target.__code__, hints, sizes, [CHECKED], [])
+        _known[id(target.__code__)] = known
+    target.__annotations__ = known.annotations
     if isgeneratorfunction(target):  # beartype would check its arguments when it is gone through
-        return jaxtyped(target, typechecker=_by_type)
-    if target.__code__ not in _known:  # one within another is made at each call of that
-        known = known_annotations(target)
-        _known[target.__code__] = known, any(map(has_shape, known.values()))
-    target.__annotations__, has_sizes = _known[target.__code__]
-    function = by_type(target)
-    return with_sizes(function) if has_sizes else function
+        return at_first(target, jaxtyped(target, typechecker=_by_type), known.left)
+    function = by_type(target, known.made)
+    return at_first(target, with_sizes(function) if known.has_sizes else function, known.left)
 
 
-def by_type(function: FunctionType) -> Any:
+def begin() -> None:
+    """Let the first calls of every function be checked again."""
+    for known in _known.values():
+        known.left[0] = CHECKED
+
+
+def at_first(
+    target: FunctionType, checking: Callable[..., Any], left: list[int]
+) -> Callable[..., Any]:
+    """Let so many calls be checked that are left, and others not."""
+
+    @wraps(target)
+    def call(*arguments: Any, **options: Any) -> Any:
+        if left[0]:
+            left[0] -= 1
+            return checking(*arguments, **options)
+        return target(*arguments, **options)
+
+    return call
+
+
+def by_type(function: FunctionType, before: list[Any]) -> Any:
     """Let beartype check a function; a function within another is compiled only the first time."""
-    made = _made.get(function.__code__)
+    made = before[0] if before else None
     keywords = getattr(made, "__kwdefaults__", None) or {}
     if "__beartype_func" not in keywords:
-        _made[function.__code__] = made = _by_type(function)
-        return made
+        before[:] = [_by_type(function)]
+        return before[0]
     again = FunctionType(made.__code__, made.__globals__, closure=made.__closure__)
     again.__kwdefaults__ = keywords | {"__beartype_func": function}
     return wraps(function)(again)

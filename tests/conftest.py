@@ -1,41 +1,36 @@
 """What every test stands on: float64, checked shapes and dtypes, seeded randomness.
 
-What XLA compiles is kept in one folder for as long as the tests run: workers of pytest-xdist and
-the processes that tests start do not compile the same again. The user's own cache is not touched;
-``JAXSTAB_TEST_PROGRAMS`` names a folder for several runs. ``JAXSTAB_TEST_UNCHECKED`` leaves shapes
-and dtypes unchecked, as users run the package.
+What XLA compiles is kept with pytest's own cache: workers of pytest-xdist, the processes that tests
+start and the next run do not compile the same again. JAX tells programs apart by what is compiled,
+by its own version and by its options; ``--cache-clear`` deletes them. The user's cache is not
+touched.
 """
 
 import ctypes
+import gc
 import os
 import resource
 from collections.abc import Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 # Threads of BLAS wait for each other busily: two of them took 500 times as long for an exponential
 # of a small matrix on two cores that are taken.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-if not os.environ.get("JAXSTAB_TEST_UNCHECKED"):  # a seventh of the time
-    import annotations
+import annotations
 
-    annotations.install()
+annotations.install()
 
-import jaxstab
+import jax  # noqa: E402
 
-if "PYTEST_XDIST_WORKER" not in os.environ:
-    _programs = TemporaryDirectory(prefix="jaxstab-tests-")  # deleted when this process ends
-    jaxstab.use_compilation_cache(os.environ.get("JAXSTAB_TEST_PROGRAMS") or _programs.name)
-
-import jax
-
+gc.set_threshold(100_000, 20, 50)  # seldom: by default a tenth of the time is spent on it
 jax.config.update("jax_enable_x64", True)
 
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 from hypothesis import settings  # noqa: E402
 
+import jaxstab  # noqa: E402
 from jaxstab.loop import many  # noqa: E402
 
 # Every run draws the same examples, and no example is timed.
@@ -48,9 +43,16 @@ _STATUS = Path("/proc/self/statm")
 _forget_at = 5 << 27  # bytes of a process, from which on it forgets what it has compiled
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Name the folder of compiled programs to all processes; workers have it from their parent."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        jaxstab.use_compilation_cache(config.cache.mkdir("programs"))
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Fill batches to one degree: a program takes 10 s and 0.5 GB. Campaigns have all degrees."""
+    annotations.begin()
     many._DEGREES = _DEGREES if item.get_closest_marker("campaign") else _ONE_DEGREE
 
 

@@ -86,7 +86,7 @@ def test_54_margins_of_a_simulator_are_those_in_closed_form() -> None:
 @pytest.mark.parametrize("kind", OF_GAINS)
 def test_54_no_gains_that_recursions_try_decay_faster_than_the_best(kind: str) -> None:
     rng = np.random.default_rng(2)
-    for case in drawn(kind, 3, seed=3):
+    for case in drawn(kind, 2, seed=3):
         best = case.loop.tune()
         if best.status == TuningStatus.NO_STABLE_GAINS:
             continue
@@ -95,7 +95,7 @@ def test_54_no_gains_that_recursions_try_decay_faster_than_the_best(kind: str) -
         assert radius(case, *pair.tolist()) == pytest.approx(best.radius, abs=2e-3)
         region = case.loop.region().reachable
         low, high = np.maximum([region.outline.min(axis=0), region.outline.max(axis=0)], 0.0)
-        for share in rng.uniform(0.0, 1.0, (200, 2)):
+        for share in rng.uniform(0.0, 1.0, (80, 2)):
             gains = [float(x) for x in case.loop._chart.gains(*(low + share * (high - low)))]
             if min(gains) > 0.0 and region.contains(**dict(zip(case.gains, gains, strict=True))):
                 assert radius(case, *gains) > best.radius - 1e-6
@@ -222,10 +222,11 @@ def test_54_pictures_say_gains_and_units() -> None:
 # ------------------------------------------------------------------------------------- many loops
 @pytest.mark.parametrize("kind", OF_GAINS)
 def test_54_limits_of_many_loops_are_those_of_each(kind: str) -> None:
-    loops = [case.loop for case in drawn(kind, 90, seed=9)]
+    count = {"simulator": 90, "admittance": 12}.get(kind, 66)  # 64 that the program takes, or none
+    loops = [case.loop for case in drawn(kind, count, seed=9)]
     limits = jaxstab.limits_of(loops)
     assert kind == "admittance" or not np.all(limits.is_single)
-    for k in range(0, 90, 11):
+    for k in range(0, count, 11):
         alone = loops[k].limits()
         assert limits.status[k] == alone.status
         assert limits.is_reachable[k] == alone.is_reachable

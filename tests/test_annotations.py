@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from annotations import checked
+from annotations import CHECKED, begin, checked
 from beartype import beartype
 from jaxtyping import Float64, Int64, TypeCheckError, jaxtyped
 
@@ -124,6 +124,17 @@ def test_another_type_dtype_or_size_is_refused(
 ) -> None:
     with pytest.raises(TypeCheckError):
         decorated[name](*arguments)
+
+
+def test_the_first_calls_of_each_test_are_checked() -> None:
+    returned = functions(checked)["returned"]
+    for _ in range(CHECKED):
+        with pytest.raises(TypeCheckError):
+            functions(checked)["returned"](TWO, ONE)  # made anew, it is the same function
+    assert returned(TWO, ONE) is TWO
+    begin()  # as each test does
+    with pytest.raises(TypeCheckError):
+        returned(TWO, ONE)
 
 
 def test_jaxstab_is_checked() -> None:

@@ -63,7 +63,7 @@ def test_walls_of_the_curve_have_roots_at_its_angles(number: int) -> None:
     assert curve_gains(c, -ANGLES).tolist() == curve_gains(c, ANGLES).tolist()
 
 
-@pytest.mark.parametrize("number", [*LOOPS[:8], *SLOW])
+@pytest.mark.parametrize("number", [*LOOPS[:4], *SLOW])
 @pytest.mark.parametrize("kind", [MassLoop, DeviceLoop])
 def test_rounding_moves_the_curve_by_less_than_is_said(
     kind: type[MassLoop | DeviceLoop], number: int

@@ -328,8 +328,8 @@ def test_small_inertias_are_written_as_powers_of_ten() -> None:
 
 def test_a_guard_names_what_its_curves_are_for() -> None:
     device = {"device_mass": 2.5e-5, "device_damping": 1e-6, "sample_time": 1e-3}
-    ranges: Any = {"mass": (2e-5, 3e-5), "delay": (0.0, 1e-3)}
-    loop, few = jaxstab.HapticLoop(**device, delay=1e-3), (1, 1, 4)
+    ranges: Any = {"mass": (2.3e-5, 2.7e-5), "delay": (3e-4, 7e-4)}
+    loop, few = jaxstab.HapticLoop(**device, delay=1e-3), (1, 1, 2)
     guard = jaxstab.build_guard(loop, jaxstab.HandRange(), **ranges, cells=few, constant_delay=True)
     left, right = guard_figure(guard, Units.ROTATION).axes
     assert left.get_title() == r"five delays; inertia 2.5$\,\times 10^{-5}$ kg m²"
