@@ -101,6 +101,21 @@ def test_54_no_gains_that_recursions_try_decay_faster_than_the_best(kind: str) -
                 assert radius(case, *gains) > best.radius - 1e-6
 
 
+def test_54_tuning_does_not_depend_on_units() -> None:
+    """One loop in SI and in units of its own: the same radius, and gains in proportion."""
+    found = []
+    for environment, period in ((1.0, 1.0), (1e6, 1e-4), (1e5, 1e-5)):
+        best = jaxstab.admittance(
+            environment, sample_time=period, delay_samples=10, rule="backward",
+            stiffness=environment, robot=jaxstab.Filter.average(samples=4),
+        ).tune()  # fmt: skip
+        gains = best.gains["mass"] / period**2, best.gains["damping"] / period
+        found.append((best.radius, *(gain / environment for gain in gains)))
+    assert found[1] == pytest.approx(found[0], rel=1e-4)
+    assert found[2] == pytest.approx(found[0], rel=1e-4)
+    assert found[0][0] < 0.9  # 0.9915 and 0.9990 were reached in SI
+
+
 def test_54_tuning_of_a_simulated_joint_is_deadbeat() -> None:
     best = jaxstab.simulated_pd(0.1, step=2e-3).tune()  # a = b = 1: p = z^2
     assert best.gains["kp"] == pytest.approx(25000.0, rel=1e-3)

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from mpmath import mp, mpf
 
 import jaxstab
 from benchmarks.truth import loop as truth
@@ -122,6 +123,24 @@ def test_an_island_of_negative_damping_has_no_stiffest_wall_but_limits() -> None
         assert np.isnan(island.stiffest).all()
         assert np.isnan(island.most_damped).all()
         assert (limits.stiffness, limits.damping) == pytest.approx(tuple(high), rel=1e-12)
+
+
+@pytest.mark.parametrize("damping", [1e-10, 1e-8, 1e-5])
+def test_gains_far_below_the_size_of_the_region_are_limits(damping: float) -> None:
+    """A spring with hardly a damper, late: walls with K, B < 0 damp it; by roots of 50 digits."""
+    numbers = {"device_damping": damping, "hand_stiffness": 1.0, "sample_time": 1.0, "delay": 2.0}
+    limits = HapticLoop(device_mass=1.0, **numbers).limits()
+    assert limits.is_reachable
+
+    def radius(stiffness: float, share: float) -> mpf:
+        wall = mpf(stiffness) * share, mpf(limits.damping) * share * (stiffness == 0.0)
+        with mp.workdps(50):
+            p = truth.polynomial(*wall, 1.0, damping, 2.0)
+            return max(map(abs, mp.polyroots(p[::-1], maxsteps=200, extraprec=300, asc=True)))
+
+    for stiffness in (limits.stiffness, 0.0):
+        assert radius(stiffness, 1.0 - 1e-6) < 1 < radius(stiffness, 1.0 + 1e-6)
+    assert limits.at_damping == limits.at_stiffness == 0.0
 
 
 def test_without_walls_of_positive_gains_there_are_no_limits() -> None:

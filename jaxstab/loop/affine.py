@@ -554,7 +554,7 @@ def _coefficient(name: str, value: Any) -> Coefficient:
 def _units(chart: AffineParts) -> tuple[float, float]:
     """Units in which gains of a loop are of size 1: powers of two."""
     with working_precision(128):
-        _, *sides = affine_triple(chart)
+        _, *sides = affine_triple(chart).monic()
         sizes = [sum(abs(float(c.mid())) for c in side.polynomial().coeffs()) for side in sides]
     first, second = (2.0 ** -round(float(np.log2(size))) for size in sizes)
     return first, second

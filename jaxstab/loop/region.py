@@ -179,7 +179,7 @@ class GainRegion(ShownRegion):
     @cached_property
     def _quadrant(self) -> tuple[Any, Any]:
         first, second = proved_extremes(self.region)
-        return self._point(first), self._point(second)
+        return self._extreme(first, 0), self._extreme(second, 1)
 
     @property
     def extremes(self) -> tuple[Any, Any]:
@@ -211,9 +211,13 @@ class GainRegion(ShownRegion):
         is_known = xp.isfinite(first) & xp.isfinite(second)
         return is_known, (xp.where(is_known, first, 0.0), xp.where(is_known, second, 0.0))
 
-    def _point(self, point: Float64[np.ndarray, "2"]) -> Any:
-        exact = zip(self.in_si_units(point), self.extent, strict=True)
-        return np.array([without_noise(*pair) for pair in exact])
+    def _extreme(self, point: Float64[np.ndarray, "2"], axis: int) -> Any:
+        gains, other = (
+            np.array(self.in_si_units(point)),
+            1 - axis,
+        )  # what is largest is proved to the digit
+        gains[other] = without_noise(gains[other], self.extent[other])
+        return gains
 
     def __repr__(self) -> str:
         """Return status, extremes and the number of islands."""
@@ -301,7 +305,7 @@ class WallRegion(GainRegion):
         """The stiffest and the most damped wall; if none has K >= 0 and B >= 0, of all walls."""
         if not np.isnan(self.stiffest.stiffness):
             return self._quadrant
-        return self._point(self.region.max_alpha), self._point(self.region.max_beta)
+        return self._extreme(self.region.max_alpha, 0), self._extreme(self.region.max_beta, 1)
 
     def limits(self) -> WallLimits:
         """The stiffest and the most damped wall, and those of each island."""
@@ -342,8 +346,8 @@ class WallRegion(GainRegion):
         """All intervals of stable B at stiffnesses K in N/m, ascending, then NaN."""
         return self._intervals(self.loop.alpha(checked_gain("stiffness", stiffness)), axis=0)
 
-    def _point(self, point: Float64[np.ndarray, "2"]) -> Gains:
-        return Gains(*super()._point(point).tolist())
+    def _extreme(self, point: Float64[np.ndarray, "2"], axis: int) -> Gains:
+        return Gains(*super()._extreme(point, axis).tolist())
 
     def _intervals_at(self, value: float, axis: int) -> np.ndarray:
         intervals = self.stiffness_intervals if axis == 1 else self.damping_intervals

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int
 
 from jaxstab.arrays import Array, Numbers, float_arrays, namespace
-from jaxstab.conventions import MEASURED, Status
+from jaxstab.conventions import MEASURED, Status, Verdict
+from jaxstab.exact.verdict import wall_verdict
 from jaxstab.model import checked_gain, require_x64
 from jaxstab.numbers import without_noise
 from jaxstab.region import measures
@@ -211,7 +212,15 @@ def holds_small_gains(c: Curve, outline: Outline) -> bool:
     extent = np.max(np.abs(outline.vertices[: outline.size]), axis=0)
     alpha = small * extent[0] * np.minimum(ratios, 1.0)
     beta = small * extent[1] * np.minimum(1.0 / ratios, 1.0)
-    return bool(np.any(measures.contains(c, outline, alpha, beta)))
+    if np.any(measures.contains(c, outline, alpha, beta)):
+        return True
+    if not measures.contains(c, outline, np.zeros(1), np.zeros(1))[0]:
+        return False
+    # Of a set that reaches far, all of these may be beyond the wall without gains that it holds.
+    least = 1e-12 * extent  # less is rounding
+    walls = (least[0], 0.0), (0.0, least[1]), least
+    codes = [wall_verdict(c.loop.triple, *map(float, wall)).verdict for wall in walls]
+    return Verdict.STABLE in codes
 
 
 def _loops(outline: Outline) -> list[Outline]:
