@@ -90,7 +90,7 @@ def test_the_least_inertia_of_a_joint_of_500_hz(
     found = replace(JOINT, delay=delay).range_of("device_mass", *gains)
     assert found.least == pytest.approx(least, rel=2e-8)
     assert len(found.intervals) == 1
-    assert "no other found by a scan of 5,000 values" in found.scan
+    assert "no other end found by a scan of 5,000 values" in found.scan
 
 
 def test_the_least_mass_without_a_delay_is_the_closed_form() -> None:
@@ -414,6 +414,14 @@ def test_design_of_no_value_exits_with_1_and_json_has_all_digits() -> None:
     assert shown.exit_code == 1
     assert walls["full_scale"]["status"] == "no value tried is stable"
     assert walls["soft"]["least_cutoff"] == pytest.approx(2.548, rel=1e-3)
+
+
+def test_what_is_0_now_is_scanned_from_0_on() -> None:
+    """The damping c of a joint beside kd: kd + c + kp h/2 < 2 J/h."""
+    joint = jaxstab.simulated_pd(1e-8, step=1e-3)
+    found = joint.range_of("damping", kp=1e-3, kd=5e-6)
+    assert found.least == 0.0
+    assert found.largest == pytest.approx(2e-5 - 5e-6 - 0.5e-6, rel=1e-9)
 
 
 def test_an_end_next_to_0_ends_the_search() -> None:

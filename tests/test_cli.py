@@ -288,6 +288,18 @@ def test_a_command_never_replaces_what_it_reads(
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
 
 
+def test_two_outputs_have_two_names(tmp_path: Path) -> None:
+    plain = ["limits", "--mass", "0.25", "--damping", "0.1", "--rate", "1000"]
+    (tmp_path / "link.png").symlink_to("a.png")
+    for second in ("a.png", "link.png"):
+        files = ["--csv", tmp_path / "a.png", "--plot", tmp_path / second]
+        done = run(*plain, *files)
+        assert (done.exit_code, done.stdout) == (2, "")
+        assert_one_sentence(done.stderr)
+        assert "is the file of --csv, too; give another name." in done.stderr
+        assert not (tmp_path / "a.png").exists()
+
+
 def test_stdin_is_not_replaced_either(tmp_path: Path) -> None:
     scene = tmp_path / "scene.toml"
     scene.write_text(EXAMPLE)

@@ -4,6 +4,7 @@ import math
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -117,6 +118,24 @@ def test_what_is_left_is_the_rounding_of_the_encoder(name: str) -> None:
         rounding = device.encoder / math.sqrt(12.0)
         assert 0.95 * rounding < found.residual < 1.02 * rounding
         assert not found.warning
+
+
+def test_a_spring_that_starts_at_0_leaves_no_more_than_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """One more number never fits worse, wherever the regression lets its search begin."""
+    log, begin = simulated(Pushed(), 4000, 2), jaxstab.scene.identify._start
+
+    def at_0(*given: Any) -> Any:
+        values, speeds = begin(*given)
+        return np.where(np.arange(6) == 4, 0.0, values), speeds
+
+    monkeypatch.setattr(jaxstab.scene.identify, "_start", at_0)
+    columns = {"force": log.force, "position": log.position, "sample_time": Pushed().period}
+    plain = identified(Pushed(), log)
+    found = jaxstab.identify(**columns, spring=True)
+    assert found.residual <= 1.0001 * plain.residual
+    assert found.stiffness.low < 0.0 < found.stiffness.high
 
 
 def test_a_spring_of_the_device_is_found() -> None:

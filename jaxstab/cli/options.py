@@ -86,7 +86,12 @@ def output_file(context: click.Context, option: click.Parameter, path: Path | No
         raise click.BadParameter(f"the folder {folder} does not exist.", param=option)
     if not os.access(folder, os.W_OK):
         raise click.BadParameter(f"the folder {folder} cannot be written.", param=option)
-    OUTPUTS[path] = option.opts[-1]
+    name, names = option.opts[-1], context.meta.setdefault(__name__, {})  # of this command
+    other = names.setdefault(os.path.realpath(path), name)
+    if other != name:
+        words = f"{path} is the file of {other}, too; give another name."
+        raise click.BadParameter(words, param=option)
+    OUTPUTS[path] = name
     context.call_on_close(partial(OUTPUTS.pop, path, None))
     return path
 

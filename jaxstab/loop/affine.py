@@ -262,7 +262,8 @@ class Loop(TwoGains):
         """The values of one number of the loop with which gains are stable.
 
         It is an argument of the function that made the loop, such as "inertia", "environment" or,
-        of PID, "delay", scanned from 1e-4 to 1e4 times what it is now; see ``HapticLoop.range_of``.
+        of PID, "delay", scanned from 1e-4 to 1e4 times what it is now; what is 0 now, from 0 on.
+        See ``HapticLoop.range_of``.
 
         Raises: as ``verdict``; ValueError also for what is no number of the loop.
 

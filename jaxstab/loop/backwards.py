@@ -91,7 +91,7 @@ class StableValues(NamedTuple):
         >>> found.largest == found.between[1]  # the scan ends, not what is stable
         True
         >>> print(f"{found.least:.8g} kg, {found.scan}")
-        0.0051069302 kg, no other found by a scan of 5,000 values from 4e-06 to 4000 kg
+        0.0051069302 kg, no other end found by a scan of 5,000 values from 4e-06 to 4000 kg
     """
 
     quantity: str
@@ -116,7 +116,7 @@ class StableValues(NamedTuple):
     def scan(self) -> str:
         """The values that were tried, in words."""
         low, high = (number_text(end, 4) for end in self.between)
-        words = "of all" if self.is_complete else "no other found by a scan of"
+        words = "of all" if self.is_complete else "no other end found by a scan of"
         return f"{words} {self.tried:,} values from {low} to {high} {self.unit}".rstrip()
 
     def __repr__(self) -> str:
@@ -344,7 +344,11 @@ def range_of_number(
     if not numbers:
         raise ValueError(f"quantity is {quantity!r}, but {loop.words} have no number that varies.")
     now = numbers[checked_word("quantity", quantity, numbers)]
-    scan = Scan.of(1e-4 * (now or 1.0), 1e4 * (now or 1.0), checked_count("count", count, 2))
+    # What is 0 now is scanned around what acts like it.
+    alike = {"stiffness": pair.stiffness, "damping": pair.damping, "delay": loop.sample_time}
+    size = now or numbers.get("environment") or abs(alike.get(quantity, 0.0)) or 1.0
+    others = Scan.of(1e-4 * size, 1e4 * size, checked_count("count", count, 2) - 1).values
+    scan = Scan(sorted([now, *others]))
     if isinstance(now, int):
         least = int(quantity == "substeps")
         scan = Scan([float(n) for n in range(least, 201)], is_complete=True)

@@ -432,7 +432,8 @@ def _fit(
     begins = HISTORY + length * np.arange(count)
     measured = positions[begins[:, None] + np.arange(length)]
     pushes = forces[begins[:, None] + np.arange(-HISTORY, length + 1)]
-    sizes = start * [1e-3, 1e-2, 1e-2, 0.0, 1e-2, 0.0] + [0.0, 0.0, 0.0, 0.01, 0.0, 0.05]
+    least = np.array([0.0, 0.0, 0.0, 0.01, 1e-6 * start[0] * spring, 0.05])
+    sizes = start * [1e-3, 1e-2, 1e-2, 0.0, 1e-2, 0.0] + least  # a spring may start next to 0
     free = np.flatnonzero(sizes)
     states, shape = np.stack([measured[:, 0], speeds[begins]], axis=1), measured.shape
     scale = np.array([1.0, 1.0 / length])
