@@ -547,7 +547,8 @@ class Filter:
     def low_pass(cls, cutoff: Numbers, *, order: int = 1) -> "Filter":
         """First-order low passes in a row, each ((1 - q) z / (z - q)), q = exp(-2 pi f T).
 
-        The cut-off f is in Hz; there are from 1 to 40 of them.
+        The cut-off f is in Hz; there are from 1 to 40 of them. q is rounded to float64, as it is in
+        the software that runs the filter; proofs and error bounds are for this q.
 
         Raises: see ``jaxstab.conventions``.
         """
