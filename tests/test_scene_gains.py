@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 import tomllib
 from decimal import Decimal
 from fractions import Fraction
@@ -464,6 +465,16 @@ def test_54_the_largest_step_of_a_simulator_is_the_closed_one() -> None:
     assert answer.as_json()["step"]["largest_step"] == pytest.approx(0.02, rel=1e-6)
     (pair,) = [line for line in str(answer).splitlines() if "largest step" in line]
     assert pair.split() == ["largest", "step", "19.99", "ms"]
+
+
+def test_54_tune_says_where_gains_do_not_move_the_slowest_root() -> None:
+    """Of two devices with one b/m it is exp(-T b/m), that of both together, for all gains."""
+    coupled, simulated = (
+        run("tune", FOLDER / f"{kind}.toml").stdout for kind in ("coupling", "simulator")
+    )
+    assert f"spectral radius                 {math.exp(-4e-4):.4g}" in coupled
+    assert "do not move the slowest root" in coupled
+    assert "slowest root" not in simulated
 
 
 def test_54_tune_finds_the_deadbeat_gains_of_a_simulator() -> None:

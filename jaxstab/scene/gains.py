@@ -416,6 +416,12 @@ def tune_gains(scene: GainScene) -> GainAnswer:
     if isfinite(best.radius):
         pair = {name: float(f"{gain:.6g}") for name, gain in best.gains.items()}
         values["least_radius"] = _around(scene, pair, in_full=True)
+        more = {name: 3.0 * gain for name, gain in best.gains.items()}
+        slower = float(scene.loop.spectral_radius(**more).value) - best.radius
+        if slower <= 1e-6 * (1.0 - best.radius):  # as that of a coupling's devices together
+            values["note"] = (
+                "three times these gains decay as fast: they do not move the slowest root"
+            )
     return GainAnswer(values, is_stable="least_radius" in values)
 
 
