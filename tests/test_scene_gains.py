@@ -623,6 +623,9 @@ def test_54_other_answers_say_what_they_need(tmp_path: Path) -> None:
     file = file_of(tmp_path, loop(JOINT))
     assert "[gains.NAME] with kp and kd" in run("check", file).stderr
     assert "wanted has 0 of kp and kd" in run("design", file).stderr
+    nothing = run("design", file_of(tmp_path, loop(JOINT, kp=0.0)))
+    assert nothing.exit_code == 2
+    assert "wanted.kp is 0.0; give a finite number > 0 in N m/rad." in nothing.stderr
     unbounded = file_of(tmp_path, loop(JOINT | {"integrator": "implicit"}, at_kd=10.0))
     limits = run("limits", unbounded)
     assert limits.exit_code == 0

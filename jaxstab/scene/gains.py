@@ -431,13 +431,15 @@ def design_gains(scene: GainScene) -> GainAnswer:
     if len(asked) != 1:
         both = " and ".join(gain.name for gain in scene.loop.gains)
         raise ValueError(f"wanted has {len(asked)} of {both}; give the one to design for.")
+    own = asked[0]
+    t.checked(f"wanted.{own.name}", scene.wanted[own.name], t.quantity(own.unit, is_positive=True))
     section = scene.tables["controller" if scene.held else "loop"]
     period = "step" if "step" in section else "sample_time"
     late = "delay_steps" if period == "step" else "delay" if "delay" in section else "delay_samples"
-    now = _limit(scene, _limits(scene)[scene.loop.gains.index(asked[0])])
-    values = {asked[0].name: scene.wanted[asked[0].name], "now": replace(now, is_stable=True)}
-    values |= {name: _largest(scene, asked[0], section[period], name) for name in (period, late)}
-    return GainAnswer(_stated(scene) | values, {asked[0].name: GivenQuantity(asked[0].unit)})
+    now = _limit(scene, _limits(scene)[scene.loop.gains.index(own)])
+    values = {own.name: scene.wanted[own.name], "now": replace(now, is_stable=True)}
+    values |= {name: _largest(scene, own, section[period], name) for name in (period, late)}
+    return GainAnswer(_stated(scene) | values, {own.name: GivenQuantity(own.unit)})
 
 
 def _largest(scene: GainScene, own: Gain, period: float, name: str) -> GainAnswer:
