@@ -818,6 +818,7 @@ def test_the_command_computes_parts_and_merges_them(desk: Path) -> None:
         (["--over", "hand.stiffness=normal:1"], "'normal:1' is no distribution"),
         (["--over", "device.mass"], "'device.mass' is not KEY=VALUES, such as device.mass=0.1"),
         (["--over", "=1:2:3"], "'=1:2:3' is not KEY=VALUES"),
+        (["--set", "x"], "'x' is not KEY=VALUE, such as device.mass=0.25."),
         (["--over", "device.mass=1:2"], "device.mass is '1:2'; give LOW:HIGH:COUNT"),
         (["--over", "device.mass=1:2:0.5"], "device.mass is '1:2:0.5'; give LOW:HIGH:COUNT"),
         (["--over", "device.mass=1:2:1"], "with a COUNT from 2 to 100000"),

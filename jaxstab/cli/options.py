@@ -41,12 +41,12 @@ def split(separator: str, kind: Callable[[str], Any], counts: Sequence[int], wor
 
 def key_values(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, str]:
     """Return the texts of KEY=VALUE by their keys."""
-    given = dict[str, str]()
+    given, example = dict[str, str](), "0.1:0.5:20" if option.name == "over" else "0.25"
     for text in texts:
         key, __, value = text.partition("=")
         if not (key and value):
             raise click.BadParameter(
-                f"{shortened(text)} is not KEY=VALUES, such as device.mass=0.1:0.5:20.",
+                f"{shortened(text)} is not {option.metavar}, such as device.mass={example}.",
                 param=option,
             )
         if key in given:
