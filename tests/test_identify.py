@@ -448,7 +448,8 @@ def test_the_command_fits_a_servo_and_writes_its_scene(tmp_path: Path) -> None:
     log, scene, picture = (tmp_path / name for name in ("servo.csv", "my.toml", "fit.png"))
     np.savetxt(log, columns, fmt="%.9g", delimiter=",", header="time,goal,angle", comments="")
     names = ["--setpoint", "goal", "--position", "angle", "--turns", "--window-samples", 5]
-    answer = run("identify", log, "--kp", 20, "--kd", 0.6, *names, "-o", scene, "--plot", picture)
+    gains = ["--kp", 20, "--kd", 0.6]
+    answer = run("identify", log, *gains, *names, "-o", scene, "--plot", picture)
     assert answer.exit_code == 0, answer.stderr
     assert "friction" not in answer.stdout
     assert picture.read_bytes().startswith(b"\x89PNG")
@@ -456,6 +457,7 @@ def test_the_command_fits_a_servo_and_writes_its_scene(tmp_path: Path) -> None:
     assert made.device.effective_mass[0] == pytest.approx(0.01, rel=0.01)
     assert made.controller.velocity is not None
     assert "window of 5 samples" in str(made.controller.velocity)
-    refused = run("identify", log, "--kp", 20)
-    assert (refused.exit_code, refused.stdout) == (2, "")
-    assert_one_sentence(refused.stderr)
+    for words in (["--kp", 20], ["--window-samples", 0], [*gains, "--window-samples", 0]):
+        refused = run("identify", log, *names[:4], *words)
+        assert (refused.exit_code, refused.stdout) == (2, "")
+        assert_one_sentence(refused.stderr)

@@ -723,7 +723,7 @@ def identify(
     if (
         is_servo == (gains["kp"] is None)
         or (is_servo and spring)
-        or (window_samples and not is_servo)
+        or (window_samples is not None and not is_servo)
     ):
         raise click.UsageError(
             "of --kp, --kd and --window-samples some are missing, or there is --spring beside "
@@ -736,7 +736,7 @@ def identify(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # the scene's are printed
         if is_servo:
-            window = Velocity.difference(samples=window_samples) if window_samples else None
+            window = None if window_samples is None else Velocity.difference(window_samples)
             device = fits.identify_servo(**columns, **gains, velocity=window)
         else:
             device = fits.identify(**columns, spring=spring)
