@@ -51,6 +51,7 @@ COMMANDS: list[tuple[str, list[str], int]] = [
     ("limits", LATE, 1),
     ("limits", [*LATE, *GOOD, "--at-damping", "10"], 1),
     ("limits", [*OMEGA, "--mass", "-1"], 2),
+    ("limits", [*OMEGA, "--json", "--csv", "-"], 2),
     ("limits", [JOINT, "--set", "gains.soft.kp=10"], 1),  # the other pair is not stable
     ("check", [JOINT, "--set", "gains.stiff.kp=3500"], 0),
     ("check", [JOINT], 1),
@@ -86,6 +87,7 @@ COMMANDS: list[tuple[str, list[str], int]] = [
     ("joints", [ARM, "--simulated"], 0),
     ("joints", [ARM, "--rate", "500", "--delay", "2e-3"], 1),
     ("joints", [ARM], 2),
+    ("joints", [ARM, "--simulated", "--json", "--csv", "-"], 2),
     ("explore", ["scene.toml"], 0),
     ("explore", ["none.toml"], 2),
     ("guard", ["--help"], 0),  # tests/test_guard.py builds some

@@ -112,6 +112,14 @@ def write_beside(data: bytes, path: Path) -> None:
     click.echo(f"jaxstab: wrote {path}", err=True)
 
 
+def require_one_stdout(as_json: bool, file: Path | None) -> None:
+    """Refuse JSON beside CSV on stdout, before anything is computed."""
+    if as_json and str(file) == "-":
+        raise click.UsageError(
+            "--csv is - beside --json, both for stdout; give the CSV file a name, or one of them."
+        )
+
+
 def print_with_csv(words: Any, rows: Iterable[Iterable[Any]], file: Path | None) -> None:
     """Print an answer, and write its rows into a CSV file; for "-" print only the rows."""
     if file:

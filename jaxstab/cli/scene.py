@@ -23,6 +23,7 @@ from jaxstab.cli.options import (
     key_values,
     plot_option,
     print_with_csv,
+    require_one_stdout,
     split,
     together,
     write_beside,
@@ -253,6 +254,7 @@ def _answer(
     ``options`` are those of the function that answers about walls. ``asked`` is the quantity that
     walls are to be stable with, in place of what ``name`` answers.
     """
+    require_one_stdout(as_json, given["csv_file"])
     for option in ("plot", "safety", "stiffness", "at_damping", "at_stiffness") if asked else ():
         if given.get(option) is not None:
             raise click.UsageError(
@@ -789,6 +791,7 @@ def joints(
     import jaxstab
     from jaxstab.scene.joints import read_gains
 
+    require_one_stdout(as_json, csv_file)
     velocity = None if cutoff is None else jaxstab.Velocity.low_pass(cutoff)
     own = None if gains is None else read_gains(gains)
     answer = jaxstab.joints(robot, gains=own, velocity=velocity, **asked)
