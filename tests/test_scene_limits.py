@@ -36,6 +36,8 @@ def test_a_scene_without_an_estimator_says_first_which_one_was_assumed() -> None
         assert re.match(r"velocity estimator +the difference over one sample \(assumed: ", first)
     named = run("limits", *SDK).stdout.splitlines()[0]
     assert "a window of 0.02 s (preset force-dimension-sdk, assumed in part)" in named
+    other = run("limits", *SDK, "--window", "0.01").stdout.splitlines()[0]
+    assert "0.01 s (preset force-dimension-sdk, with another window)" in other
     assert run("limits", *OMEGA, "--window-samples", "1").stdout.count("assumed") == 0
 
 

@@ -371,9 +371,15 @@ class VelocityTable(_TimedTable):
         return presets("software")[self.preset].numbers if self.preset else {}
 
     def __str__(self) -> str:
-        is_assumed = any("assumed" in entry.source for entry in self.preset_numbers.values())
-        preset = f" (preset {self.preset}{', assumed in part' if is_assumed else ''})"
-        return f"{self.as_velocity()}{preset if self.preset else ''}"
+        words, others = f"preset {self.preset}", list[str]()
+        for name, (value, _, source, _) in self.preset_numbers.items():
+            given = getattr(self, name, value)
+            if (list(given) if isinstance(value, list) else given) != value:
+                others.append(name)
+            elif "assumed" in source:
+                words = f"preset {self.preset}, assumed in part"
+        words += f", with another {' and '.join(others)}" if others else ""
+        return f"{self.as_velocity()}{f' ({words})' if self.preset else ''}"
 
 
 MEASURES = (
