@@ -387,6 +387,15 @@ def test_the_command_writes_a_header_and_a_picture(tmp_path: Path) -> None:
         assert said in answer.output
 
 
+@pytest.mark.usefixtures("little_work")
+def test_the_command_tells_its_work_once(tmp_path: Path) -> None:
+    loop = ["--mass", "0.25", "--damping", "0.1", "--rate", "1000", "--delay", "0.001"]
+    answer = run("guard", *loop, "--cells", "1,1,1", "-o", tmp_path / "a.h")
+    plan, refusal = answer.stderr.splitlines()
+    assert plan.startswith("1 cell of mass, delay and damping, for all hands and frequencies: ")
+    assert "no wall was proved stable" in refusal
+
+
 @pytest.mark.parametrize(
     "words",
     [

@@ -651,11 +651,11 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
 
     name = checked_name(output.stem)  # before the proof, which takes long
     cells = given["cells"] and (*given["cells"],)
-    plan = guard_plan(scene, cells)
+    plans = iter([guard_plan(scene, cells)])  # one, which is printed as the proof begins
     with at_work("proving") as show:
 
         def tell(share: float) -> None:
-            if share == 0.0:  # the proof begins
+            for plan in plans:
                 click.echo(plan, err=True)
             show(share, 1.0)
 

@@ -222,8 +222,9 @@ class GuardPlan(NamedTuple):
     seconds: tuple[float, float]
 
     def __str__(self) -> str:
+        noun, each = ("cells", "each ") if self.cells > 1 else ("cell", "")
         return (
-            f"{self.cells} cells of mass, delay and damping, each for all hands and frequencies: "
+            f"{self.cells} {noun} of mass, delay and damping, {each}for all hands and frequencies: "
             f"usually {self.seconds[0]:.0f} s of CPU time, at most {self.seconds[1]:.0f} s "
             f"({self.most_boxes:,} boxes of loops)"
         )
