@@ -770,6 +770,9 @@ def test_a_grid_is_printed_and_written_as_csv(desk: Path) -> None:
     values = {"device.mass": 0.2, "controller.delay": 1e-3}
     own = loop_with(tomllib.loads(desk.read_text()), values).limits()
     assert float(rows[3]["largest_stiffness"]) == pytest.approx(own.stiffness, rel=1e-9)
+    for line, row in zip(table[1:7], rows, strict=True):  # rounded down, as a stable one has to be
+        shown, found = float(line.split()[4]), float(row["largest_stiffness"])
+        assert found * (1.0 - 1e-5) < shown <= found
     file = desk.with_name("a.csv")
     assert run(*given, "--csv", file).stdout.splitlines() == table
     assert list(csv.DictReader(file.read_text().splitlines())) == rows

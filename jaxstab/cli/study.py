@@ -1,7 +1,8 @@
 """The command for studies: many devices, people and controllers as one table."""
 
 from collections.abc import Iterator, Sequence
-from math import inf, nan, prod
+from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN
+from math import inf, isfinite, nan, prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +21,7 @@ from jaxstab.cli.options import (
     split,
 )
 from jaxstab.cli.scene import SceneCommand, mechanics_options, tables_of
-from jaxstab.shown import printable, table_text
+from jaxstab.shown import printable, rounded_text, table_text
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -127,6 +128,8 @@ def study(
 
 # What is printed: the table of a grid; quantiles of draws, and shares of stable walls.
 
+_INWARDS = {"largest": ROUND_FLOOR, "least": ROUND_CEILING}
+
 
 def _report(table: "Dataset", *, is_small: bool) -> str:
     from jaxstab.conventions import Verdict
@@ -148,7 +151,7 @@ def _report(table: "Dataset", *, is_small: bool) -> str:
         found = found if found.ndim > 1 else found.expand_dims({"": [draws]})
         named = {0.05: "5th percentile", 0.5: "median", 0.95: "95th percentile"}
         words.append(f"{limit.replace('_', ' ')} in {found.units}, over {draws}:")
-        words.append(_text(found.to_dataset("quantile").rename(named)))
+        words.append(_text(found.to_dataset("quantile").rename(named), limit))
     if "verdict" in table:
         found = shares(table)
         found = found.drop_vars(of_walls)
@@ -174,15 +177,23 @@ def _frame(table: "Dataset") -> Any:
     return frame[[*order, *(name for name in table.coords if name not in order), *table.data_vars]]
 
 
-def _text(table: "Dataset") -> str:
-    """Return the first rows of a table in columns, with units."""
+def _text(table: "Dataset", limit: str = "") -> str:
+    """Return the first rows of a table in columns, with units; its values may be of one limit."""
     frame, most = _frame(table), 40
     units = {name: table[name].attrs.get("units", "1") for name in frame}
     heads = [f"{name} ({unit})" if unit.strip("1") else name for name, unit in units.items()]
-    rows = frame.head(most).map(lambda x: printable(x) if isinstance(x, str) else f"{x:.6g}")
-    text = table_text([[head.replace("_", " ") for head in heads], *rows.values.tolist()])
+    names = [(name in table.data_vars and limit) or name for name in frame]
+    ways = [_INWARDS.get(name.partition("_")[0], ROUND_HALF_EVEN) for name in names]
+    rows = [[*map(_cell, row, ways)] for row in frame.head(most).itertuples(index=False)]
+    text = table_text([[head.replace("_", " ") for head in heads], *rows])
     more = len(frame) - most
     return f"{text}\n... and {more:,} more rows; write them with --csv or -o" if more > 0 else text
+
+
+def _cell(value: Any, way: str) -> str:
+    if isinstance(value, str):
+        return printable(value)
+    return rounded_text(value, 6, way) if isfinite(value) else f"{value:g}"
 
 
 def _cells(table: "Dataset") -> Iterator[Sequence[Any]]:
