@@ -413,6 +413,7 @@ def test_design_of_no_value_exits_with_1_and_json_has_all_digits() -> None:
     walls = json.loads(shown.stdout)["walls"]
     assert shown.exit_code == 1
     assert walls["full_scale"]["status"] == "no value tried is stable"
+    assert walls["full_scale"]["scan"].startswith("none found by a scan of 500 values")
     assert walls["soft"]["least_cutoff"] == pytest.approx(2.548, rel=1e-3)
 
 

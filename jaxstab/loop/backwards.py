@@ -116,7 +116,8 @@ class StableValues(NamedTuple):
     def scan(self) -> str:
         """The values that were tried, in words."""
         low, high = (number_text(end, 4) for end in self.between)
-        words = "of all" if self.is_complete else "no other end found by a scan of"
+        found = "no other end found by" if self.intervals else "none found by"
+        words = "of all" if self.is_complete else f"{found} a scan of"
         return f"{words} {self.tried:,} values from {low} to {high} {self.unit}".rstrip()
 
     def __repr__(self) -> str:
