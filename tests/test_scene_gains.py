@@ -522,7 +522,7 @@ def test_54_a_study_draws_environments_from_a_range() -> None:
 # --------------------------------------------------------------------------------------- refusals
 WALLS: Tables = {"device": DEVICE["device"], "controller": {"sample_time": 1e-3}}
 REFUSED = [
-    (loop({"inertia": 0.1}), "loop.kind is None; give simulator, admittance, pid, coupling."),
+    (loop({"inertia": 0.1}), "loop.kind is missing; give one of simulator, "),
     (loop({"kind": "simulater"}), "loop.kind is 'simulater'; did you mean 'simulator'?"),
     (
         loop({"kind": "simulator", "step": 1e-3}),

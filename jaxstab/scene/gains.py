@@ -154,7 +154,9 @@ class GainScene:
         table, pairs = tables["loop"], tables.get("gains", {})
         if not isinstance(table, Mapping) or not isinstance(pairs, Mapping):
             raise ValueError("loop or gains is no table; give [loop], and [gains.NAME] for pairs.")
-        kind = t.checked("loop.kind", table.get("kind"), t.one_of(_DOORS))
+        if "kind" not in table:
+            raise ValueError(f"loop.kind is missing; give one of {', '.join(_DOORS)}.")
+        kind = t.checked("loop.kind", table["kind"], t.one_of(_DOORS))
         beside = ("device", "hand", "controller") if _DOORS[kind][1] else ()
         t.check_keys("", tables, ["loop", "gains", "wanted", *beside])
         of_device = {name: tables[name] for name in beside if name in tables}
