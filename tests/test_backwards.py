@@ -499,7 +499,7 @@ def test_a_delay_in_samples_goes_with_the_sample_time() -> None:
         (["limits", SIMULATOR, "--gains", "80", "2"], "asks for other loops"),
         (["design", *SCENE, "--for", "mass", "--plot", "a.png"], "--plot is given"),
         (["design", *SCENE, "--for", "mass", "--safety", "0.8"], "--safety is given"),
-        (["design", *SCENE, "--for", "cutoff"], "has 0 of it"),
+        (["design", *SCENE, "--for", "cutoff"], "low_pass(100.0) (--cutoff 100)."),
         (["design", "--for", "inertia", "--rate", "500", "--damping", "0"], "walls is empty"),
         (["limits", "--gains", "1", "1", "--rate", "0"], "--rate"),
         (["limits", "--gains", "1", "1", "--rate", "5", "--sample-time", "1"], "--rate"),

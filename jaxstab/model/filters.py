@@ -798,9 +798,13 @@ def with_number(velocity: Velocity, quantity: str, value: float) -> Velocity:
     if not places and quantity == "window" and all(section.maker for section in sections):
         sections, places = [Average(1, None), *sections], [0]  # the difference over one sample
     if len(places) != 1:
+        is_cutoff = quantity == "cutoff"
+        call = (
+            "low_pass(100.0) (--cutoff 100)" if is_cutoff else "difference(5) (--window-samples 5)"
+        )
         raise ValueError(
             f"quantity is {quantity!r}, but the velocity ({velocity}) has {len(places)} of it; "
-            "give an estimator with one, such as jaxstab.Velocity.low_pass(100.0)."
+            f"give an estimator with one, such as jaxstab.Velocity.{call}."
         )
     (place,) = places
     of_window = {"samples": int(value), "window": None}
