@@ -828,6 +828,7 @@ def test_the_command_computes_parts_and_merges_them(desk: Path) -> None:
         (["--over", "device.mass=1,2", "--over", "device.mass=1,2"], "device.mass is given twice"),
         (["--over", "device.mass=1,2", "--part", "3of2"], "'3of2' is no part; give NUMBER/COUNT"),
         (["--over", "device.mass=1,2", "--merge"], "--merge is given beside --over"),
+        (["--over", "device.mass=1,2", "--samples", "9"], "--samples is 9, but nothing is drawn"),
         (["--over", "hand.stiffness=csv:none.csv:k"], "none.csv"),
         (["--over", "hand.stiffness=nomal:1:2"], "'nomal:1:2' is no distribution; give normal:"),
         (["--over", "device.mass=0.1kg,0.2kg"], "device.mass is '0.1kg'; give a finite number > 0"),

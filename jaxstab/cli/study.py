@@ -102,6 +102,11 @@ def study(
             part=(number, count),
         )
         table = planned.table
+        if samples is not None and "sample" not in table.dims:
+            raise click.UsageError(
+                f"--samples is {samples}, but nothing is drawn; leave it out, or let --over have a "
+                "distribution, such as device.mass=uniform:0.1:0.2."
+            )
     for file in (output, csv_file):  # what is read is refused above, and not to be removed
         if file is not None and str(file) != "-":
             require_free(file)
