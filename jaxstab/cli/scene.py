@@ -732,6 +732,11 @@ def identify(
             "them; give --kp and --kd of a servo, without --spring, or none of them."
         )
     used = ("time", "position", "setpoint" if is_servo else "force", *["velocity"] * (not is_servo))
+    for name in (name for name, column in given.items() if column and name not in used):
+        raise click.UsageError(
+            f"--{name} is {given[name]}, which is not read {'beside' if is_servo else 'without'} "
+            "--kp and --kd; leave it out."
+        )
     names = {name: given[name] or name for name in used}
     optional = [] if is_servo or given["velocity"] else [names["velocity"]]
     columns = fits.read_log(str(log), names, sample_time, optional)
