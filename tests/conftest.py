@@ -7,7 +7,6 @@ touched.
 """
 
 import ctypes
-import gc
 import os
 import resource
 from collections.abc import Iterator
@@ -23,7 +22,6 @@ annotations.install()
 
 import jax  # noqa: E402
 
-gc.set_threshold(100_000, 20, 50)  # seldom: by default a tenth of the time is spent on it
 jax.config.update("jax_enable_x64", True)
 
 import numpy as np  # noqa: E402
