@@ -5,6 +5,7 @@ of exponentials, and closed forms. Nothing of it is jaxstab's.
 """
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from math import isnan
@@ -379,13 +380,21 @@ def test_the_least_inertia_is_for_a_constant_delay_and_says_so() -> None:
     assert wall == json.loads(one.stdout)["walls"]
 
 
-@pytest.mark.parametrize("asked", ["mass", "damping", "window"])
-def test_design_says_what_a_wall_needs_for_every_hand(asked: str) -> None:
+@pytest.mark.parametrize(
+    ("asked", "needed"),
+    [
+        ("mass", r"least mass +0\.1575864047 kg\n"),
+        ("damping", r"status +every value tried is stable\n"),
+        ("window", r"largest window +28 samples\n"),
+    ],
+)
+def test_design_says_what_a_wall_needs_for_every_hand(asked: str, needed: str) -> None:
     shown = run("design", *SCENE, "--for", asked)
     assert shown.exit_code == 0
     assert "wall gains" in shown.stdout
     assert "chai3d" not in shown.stdout
     assert "each end is proved for every hand" in shown.stdout
+    assert re.search(needed, shown.stdout)
 
 
 def test_further_intervals_of_an_inertia_are_called_so() -> None:

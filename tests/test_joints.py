@@ -210,9 +210,9 @@ KINDS = ["held", "outside", *RULES]
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_55_mujoco_settles_above_the_least_inertia_and_not_below(kind: str) -> None:
-    decided, wrong = disagreements(kind, 2)
+    decided, wrong = disagreements(kind, 3)
     assert not wrong
-    assert decided >= 3
+    assert decided >= 5
 
 
 @pytest.mark.campaign

@@ -80,8 +80,8 @@ class StableValues(NamedTuple):
         tried: how many were.
         is_complete: whether these are all that there are.
         is_proved: whether the stable side of each end is proved, for all hands where there is a
-            range of them; it then lies inside of what the hands that were tried allow. Else it is
-            proved for the hands that were tried.
+            range of them; it then lies inside of what the hands that were tried allow. Else no hand
+            that was tried refutes it.
 
     Example:
         >>> joint = jaxstab.HapticLoop(
@@ -239,14 +239,16 @@ def range_of(
     def worst(value: float) -> Any:
         return replace(every, loop=change(loop, value)).worst(*wall)
 
-    for _ in range(rounds):
+    def scanned() -> StableValues:
         known = _verdicts(loops, quantity, wall, scan) if at_once else None
-        found = stable_values((quantity, UNITS[quantity]), scan, judge, known)
-        found, refuting = (found, []) if every is None else _for_all(found, worst)
+        return stable_values((quantity, UNITS[quantity]), scan, judge, known)
+
+    for _ in range(rounds):
+        found, refuting = (scanned(), []) if every is None else _for_all(scanned(), worst)
         if not refuting:
             return found
         loops += refuting
-    return stable_values((quantity, UNITS[quantity]), scan, judge)._replace(is_proved=False)
+    return scanned()._replace(is_proved=False)
 
 
 def _for_all(found: StableValues, worst: Callable[[float], Any]) -> tuple[StableValues, list[Any]]:

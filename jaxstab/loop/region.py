@@ -212,10 +212,8 @@ class GainRegion(ShownRegion):
         return is_known, (xp.where(is_known, first, 0.0), xp.where(is_known, second, 0.0))
 
     def _extreme(self, point: Float64[np.ndarray, "2"], axis: int) -> Any:
-        gains, other = (
-            np.array(self.in_si_units(point)),
-            1 - axis,
-        )  # what is largest is proved to the digit
+        gains = np.array(self.in_si_units(point))
+        other = 1 - axis  # what is largest is proved to the digit
         gains[other] = without_noise(gains[other], self.extent[other])
         return gains
 
