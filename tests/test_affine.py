@@ -400,6 +400,32 @@ def test_54_an_admittance_without_delay_needs_a_mass_and_no_damping() -> None:
     assert limits.second.value == 0.0
 
 
+@pytest.mark.parametrize("rule", ["forward", "backward", "trapezoid", "explicit"])
+@pytest.mark.parametrize("filtered", [False, True])
+def test_54_an_admittance_without_a_damper_is_not_stable(rule: str, filtered: bool) -> None:
+    """Without delay its roots keep the product 1: on the circle, or one of them outside."""
+    options: dict[str, Any] = {"force_filter": jaxstab.Filter.low_pass(50.0)} if filtered else {}
+    loop = robot(1e4, 1e-3, 0, rule=rule, **options)
+    assert loop.verdict(mass=10.0, damping=0.0) == Verdict.UNSTABLE
+    assert loop.verdict(mass=1e-3, damping=0.0) == Verdict.UNSTABLE
+    assert loop.verdict(mass=10.0, damping=300.0) == Verdict.STABLE
+
+
+def test_a_row_of_gains_may_keep_the_product_of_the_roots_at_1() -> None:
+    """Common powers of z do not count, and a gain that moves no root leaves all as they are."""
+    for common in (0, 3):
+        more = [0] * common
+        loop = jaxstab.Loop.from_coefficients(
+            base=[1, -2, 1, *more],
+            first=[1, 0, *more],
+            second=[1, 0, -1, *more],
+            sample_time=1e-3,
+        )
+        assert loop.parts.is_reciprocal((0.5, 0.0), (1.0, 0.0))
+        assert not loop.parts.is_reciprocal((0.5, 0.1), (1.0, 0.0))
+        assert not loop.parts.is_reciprocal((0.5, 0.0), (0.0, 1.0))
+
+
 def test_54_printed_limits_are_rounded_to_the_stable_side() -> None:
     limits = jaxstab.pid(held(), kd=50.0).limits()
     assert limits.first.value == pytest.approx(25860.6638, abs=1e-4)

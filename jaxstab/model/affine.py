@@ -32,7 +32,7 @@ from jaxstab.model.balls import (
     Plant,
     Triple,
     ball_loop,
-    filter_in_balls,
+    filter_in_fractions,
     plant_in_balls,
 )
 from jaxstab.model.device.device import Device
@@ -60,8 +60,11 @@ class AffineParts:
     pivot: ClassVar[int] = 0
 
     def triple(self) -> Triple:
-        """The parts of p(z), without a common power of z."""
-        raise NotImplementedError
+        """The parts of p(z), without a common power of z; from exact numbers where it has such."""
+        parts = self.rational()
+        if parts is None:
+            raise NotImplementedError
+        return Triple.from_parts(*map(Factored.from_rational, parts))
 
     def rational(self) -> "Rationals | None":
         """The parts in exact numbers, if they are such, with common powers of z."""
@@ -86,8 +89,11 @@ class AffineParts:
             return False
         a, b = map(exact, along)
         q = a * parts[1] + b * parts[2]
-        n = max(part.degree() for part in parts)
-        return any(p0[0] == sign * p0[n] and q[0] == sign * q[n] for sign in (1, -1))
+        highest = max(p0.degree(), q.degree())
+        lowest = next((k for k in range(highest) if p0[k] != 0 or q[k] != 0), highest)
+        return lowest < highest and any(
+            all(part[lowest] == sign * part[highest] for part in (p0, q)) for sign in (1, -1)
+        )
 
 
 @remembered(512)
@@ -243,12 +249,8 @@ class SimulatedParts(AffineParts):
     substeps: int
     delay_steps: int
 
-    def triple(self) -> Triple:
-        """The parts of p(z), by kp and kd."""
-        return Triple.from_parts(*map(Factored.from_rational, self.rational()))
-
     def rational(self) -> "Rationals":
-        """The parts in exact numbers."""
+        """The parts of p(z) in exact numbers, by kp and kd."""
         below, (by_kp, by_kd), lag = sampled_steps(self.joint, self.substeps, self.delay_steps)
         z, rule = flint.fmpq_poly([0, 1]), "" if self.is_outside else self.joint.integrator
         by_kp *= z if rule == "implicit" else 1
@@ -277,12 +279,21 @@ class AdmittanceParts(AffineParts):
     robot: Filter
     force_filter: Filter
 
-    def triple(self) -> Triple:
-        """The parts of p(z), by M and D."""
-        wall, below = self._wall_and_below()
-        inertia = flint.fmpq_poly([1, -2, 1]) / exact(self.sample_time)
-        by_mass = below.times(Factored.from_rational(inertia))
-        return Triple.from_parts(wall, by_mass, below.times(self._rates()[0]))
+    def rational(self) -> "Rationals":
+        """The parts of p(z) in exact numbers, by M and D."""
+        (robot, slow), (read, smooth) = (
+            filter_in_fractions(each, self.sample_time) for each in (self.robot, self.force_filter)
+        )
+        z, period = flint.fmpq_poly([0, 1]), exact(self.sample_time)
+        by_damping, position = {
+            "forward": (z - 1, z),
+            "backward": (z * (z - 1), z),
+            "explicit": (z - 1, z**0),
+            "trapezoid": ((z * z - 1) / 2, (z + 1) ** 2 / 4),
+        }[self.rule]
+        below = slow * smooth * z**self.delay_samples
+        force = robot * read * exact(self.environment) + below * exact(self.stiffness)
+        return force * position * period, below * (z - 1) ** 2 / period, below * by_damping
 
     def in_units(self) -> tuple["AdmittanceParts", tuple[float, float]]:
         """The same loop with T = 1 and Ke = 1, and what 1 of its M and D is."""
@@ -291,28 +302,6 @@ class AdmittanceParts(AffineParts):
         spring = self.stiffness / wall
         unit = AdmittanceParts(1.0, 1.0, self.delay_samples, self.rule, spring, *filters)
         return unit, (wall * period**2, wall * period)
-
-    def _rates(self) -> tuple[Factored, Factored]:
-        z = flint.fmpq_poly([0, 1])
-        rates = {
-            "forward": (z - 1, z),
-            "backward": (z * (z - 1), z),
-            "explicit": (z - 1, z**0),
-            "trapezoid": ((z * z - 1) / 2, (z + 1) ** 2 / 4),
-        }[self.rule]
-        return Factored.from_rational(rates[0]), Factored.from_rational(rates[1])
-
-    def _wall_and_below(self) -> tuple[Factored, Factored]:
-        """The part without the gains, and z^w with the denominators of the filters."""
-        (robot, slow), (read, smooth) = (
-            filter_in_balls(each, self.sample_time) for each in (self.robot, self.force_filter)
-        )
-        below = _late(slow.times(smooth), self.delay_samples)
-        position = self._rates()[1].scaled(self.sample_time)
-        wall = position.times(robot).times(read).scaled(self.environment)
-        if self.stiffness:
-            wall = wall.plus(below.times(position).scaled(self.stiffness))
-        return wall, below
 
 
 # -------------------------------------------------------------------------------------------- PID

@@ -409,10 +409,23 @@ def _section(section: Section) -> tuple[Factored, Factored]:
     if n is not None:
         above = Factored(flint.arb_poly([flint.fmpq(1, n)]), windows=(n,) if n > 1 else ())
         return above, Factored(flint.arb_poly([1]), power=n - 1)
+    above, below = map(Factored.from_rational, _section_in_fractions(section))
+    return above, below
+
+
+def filter_in_fractions(chain: Filter, period: float) -> "tuple[fmpq_poly, fmpq_poly]":
+    """Numerator and denominator of a filter in powers of z, in exact numbers."""
+    above, below = flint.fmpq_poly([1]), flint.fmpq_poly([1])
+    for section in chain.per_sample(period).sections:
+        sides = _section_in_fractions(section)
+        above, below = above * sides[0], below * sides[1]
+    return above, below
+
+
+def _section_in_fractions(section: Section) -> "tuple[fmpq_poly, fmpq_poly]":
     sides = exact_chain((section,))
     order = max(side.degree() for side in sides)
-    in_z = (flint.fmpq_poly([side[order - k] for k in range(order + 1)]) for side in sides)
-    above, below = map(Factored.from_rational, in_z)
+    above, below = (flint.fmpq_poly([side[order - k] for k in range(order + 1)]) for side in sides)
     return above, below
 
 
