@@ -107,7 +107,9 @@ def test_an_engine_has_its_closed_form() -> None:
     """PD by semi-implicit Euler: kp h^2/J < 4 - 2 kd h/J."""
     loop = jaxstab.simulated_pd(0.1, step=2e-3)
     least = 1000.0 * 4e-6 / 4.0 + 10.0 * 2e-3 / 2.0
-    assert loop.range_of("inertia", kp=1000.0, kd=10.0).least == pytest.approx(least, rel=1e-9)
+    found = loop.range_of("inertia", kp=1000.0, kd=10.0)
+    assert found.least == pytest.approx(least, rel=1e-9)
+    assert found.scan.endswith(" kg m^2")
     step = loop.range_of("step", kp=1000.0, kd=10.0).largest
     assert 1000.0 * step**2 / 0.1 == pytest.approx(4.0 - 20.0 * step / 0.1, rel=1e-8)
 
@@ -133,6 +135,11 @@ def test_pid_keeps_the_delay_that_its_derivative_has_of_its_own() -> None:
     for delay, verdict in ((0.999 * longest, "STABLE"), (1.001 * longest, "UNSTABLE")):
         late = jaxstab.pid(replace(OMEGA, velocity=None, delay=delay), ki=0.0, kd_delay=0.0)
         assert late.verdict(kp=5000.0, kd=60.0) == jaxstab.Verdict[verdict]
+
+
+def test_pid_offers_the_numbers_of_its_loop_alone() -> None:
+    with pytest.raises(ValueError, match=r'"hand_stiffness", "delay"\.$'):
+        jaxstab.pid(OMEGA, kd=5.0).range_of("colour", kp=1.0, ki=1.0)
 
 
 def changed(quantity: str, value: float, numbers: dict[str, Any]) -> dict[str, Any]:

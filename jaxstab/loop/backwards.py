@@ -53,6 +53,10 @@ UNITS = {
 }
 """The quantities of a held device and its controller, and their units."""
 
+_ROBOT = {"environment": "N/m", "stiffness": "N/m", "delay_samples": "samples"}
+_STEPS = {"step": "s", "substeps": "steps", "delay_steps": "steps"}
+_JOINT = {"inertia": "kg m^2", "damping": "N m s/rad", "stiffness": "N m/rad", **_STEPS}
+
 
 class StableEnd(NamedTuple):
     """The last stable value, and the first one beyond that is unstable: each proved.
@@ -342,8 +346,13 @@ def range_of_number(
     """The values of a number of a loop, of its device or engine, with which gains are stable."""
     inner = {name: getattr(loop.parts, name, None) for name in ("joint", "late", "loop")}
     owners = [vars(owner) for owner in (loop.parts, *inner.values()) if owner]
-    numbers = {k: x for own in owners for k, x in own.items() if type(x) in (int, float)}
-    numbers.pop("value", None)  # the gain of PID that is given
+    units = UNITS | (_JOINT if inner["joint"] else _ROBOT)
+    numbers = {
+        name: value
+        for own in owners
+        for name, value in own.items()
+        if type(value) in (int, float) and name in units
+    }
     if not numbers:
         raise ValueError(f"quantity is {quantity!r}, but {loop.words} have no number that varies.")
     now = numbers[checked_word("quantity", quantity, numbers)]
@@ -366,4 +375,4 @@ def range_of_number(
         verdict: Verdict = replace(loop, parts=parts)._verdict(*pair)
         return verdict
 
-    return stable_values((quantity, ""), scan.within(between, count), judge)
+    return stable_values((quantity, units[quantity]), scan.within(between, count), judge)
