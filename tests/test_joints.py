@@ -281,6 +281,120 @@ def test_55_every_joint_is_answered_or_has_its_reason() -> None:
     assert {*answer.safe_gains()} == {"plain", "upper"}
 
 
+BAR = """
+<mujoco>
+  <option timestep="0.00173" gravity="0 0 0" {options}>{flags}</option>
+  <worldbody>
+    <body>
+      <joint name="bar" axis="0 0 1" {joint}/><site name="tip" pos="0.1 0 0"/>
+      <inertial pos="0.1 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>
+    </body>
+    <site name="world" pos="0.1 0 0"/>
+  </worldbody>
+  <actuator>{actuators}</actuator>
+</mujoco>
+"""
+PD = '<position joint="bar" kp="100" kv="1"/>'
+
+
+def bar(actuators: str = PD, flags: str = "", joint: str = "", options: str = "") -> Any:
+    text = BAR.format(actuators=actuators, flags=flags, joint=joint, options=options)
+    return mujoco.MjModel.from_xml_string(text)
+
+
+def radius_in_mujoco(model: Any) -> float:
+    """The spectral radius of the engine's own step, by finite differences of it."""
+    data, n = mujoco.MjData(model), 2 * model.nv + model.na
+    step = np.zeros((n, n))
+    mujoco.mjd_transitionFD(model, data, 1e-6, True, step, None, None, None)
+    return float(np.max(np.abs(np.linalg.eigvals(step))))
+
+
+@pytest.mark.parametrize(
+    ("model", "words"),
+    [
+        (bar('<pid joint="bar" kp="100" ki="1e4" kv="1"/>'), "actuator 0 has another law"),
+        (bar('<dcmotor joint="bar" motorconst="1 1" resistance="1"/>'), "actuator 0 has"),
+        (bar('<muscle joint="bar" lengthrange="0 1"/>'), "actuator 0 has another law"),
+        (bar(PD + '<damper name="oil" joint="bar" kv="1" ctrlrange="0 1"/>'), "actuator oil has"),
+        (
+            bar(PD + '<position site="tip" refsite="world" kp="3e6" gear="0 1 0 0 0 0"/>'),
+            "actuator 1 has another law",
+        ),
+        (bar(PD + '<velocity site="tip" kv="3e3" gear="0 1 0 0 0 0"/>'), "actuator 1 has"),
+        (
+            bar(PD + '<position cranksite="tip" slidersite="world" cranklength="0.2" kp="1e3"/>'),
+            "actuator 1 has another law",
+        ),
+        (
+            bar('<general joint="bar" biastype="affine" biasprm="0 -100 0.5"/>'),
+            "kp = 100 and kd = -0.5; give gains of 0 or more",
+        ),
+        (bar(joint='stiffness="10 5 50000"'), "its spring or damper is not linear"),
+        (bar(joint='damping="1 2 3"'), "its spring or damper is not linear"),
+    ],
+)
+def test_55_a_joint_under_another_law_than_pd_has_its_reason(model: Any, words: str) -> None:
+    answer = jaxstab.joints(model, simulated=True)
+    assert words in str(answer.joints["bar"].verdict)
+    assert not answer.all_stable
+    assert not answer.safe_gains()
+    given = jaxstab.joints(model, simulated=True, gains={"bar": {"kp": 100.0, "kd": 1.0}})
+    reason = str(given.joints["bar"].verdict)
+    assert given.joints["bar"].is_stable or "not linear" in reason  # given gains replace a servo
+
+
+SPRING = 'damping="2" stiffness="500"'
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "implicit", "implicitfast"])
+@pytest.mark.parametrize(
+    ("file", "kp", "kd"),
+    [
+        ({"joint": SPRING}, 100.0, 1.0),
+        ({"joint": SPRING, "flags": '<flag damper="disable"/>'}, 100.0, 1.0),
+        ({"joint": SPRING, "flags": '<flag spring="disable"/>'}, 100.0, 1.0),
+        ({"joint": SPRING, "flags": '<flag eulerdamp="disable"/>'}, 100.0, 1.0),
+        ({"joint": SPRING, "flags": '<flag actuation="disable"/>'}, None, None),
+        ({"actuators": '<pid joint="bar" kp="100" kv="1"/>'}, 100.0, 1.0),
+        ({"actuators": PD + '<motor joint="bar"/><motor site="tip"/>'}, 100.0, 1.0),
+        ({"actuators": PD + PD.replace("/>", ' group="3"/>')}, 200.0, 2.0),
+        (
+            {
+                "actuators": PD + PD.replace("/>", ' group="3"/>'),
+                "options": 'actuatorgroupdisable="3"',
+            },
+            100.0,
+            1.0,
+        ),
+        ({"actuators": PD.replace("/>", ' damping="2"/>'), "joint": 'damping="0.3"'}, 100.0, 1.0),
+    ],
+)
+def test_55_what_a_file_disables_does_not_act(
+    file: dict[str, str], kp: float | None, kd: float | None, integrator: str
+) -> None:
+    options = f'integrator="{integrator}" {file.get("options", "")}'
+    model = bar(**{**file, "options": options})
+    answer = jaxstab.joints(model, simulated=True)
+    own = answer.joints["bar"]
+    assert (own.kp, own.kd) == (kp, kd)
+    radius = answer.questions["bar"].loop(0.02).spectral_radius(kp=kp or 0.0, kd=kd or 0.0)
+    assert float(radius.value) == pytest.approx(radius_in_mujoco(model), abs=1e-9)
+
+
+def test_55_a_joint_without_a_name_has_one_of_its_own() -> None:
+    body = '<body><joint {}axis="0 0 1"/><geom size="0.1"/></body>'
+    named, unnamed = body.format('name="joint 1" '), body.format("")
+    held = '<equality><joint joint1="joint 1"/></equality>'
+    text = f"<mujoco>{{}}<worldbody>{named}{unnamed}</worldbody>{held}</mujoco>"
+    answer = jaxstab.joints(mujoco.MjModel.from_xml_string(text.format("")), rate=500.0)
+    verdicts = [own.verdict for own in answer.joints.values()]
+    assert verdicts == ["equality 0 holds it at a place", "no gains"]
+    off = text.format('<option><flag equality="disable"/></option>')
+    answer = jaxstab.joints(mujoco.MjModel.from_xml_string(off), rate=500.0)
+    assert [own.verdict for own in answer.joints.values()] == ["no gains", "no gains"]
+
+
 def test_55_a_joint_that_cannot_be_computed_is_named_and_the_others_are_answered() -> None:
     gains = {name: {"kp": 20.0, "kd": 1.0} for name in ("shoulder", "elbow")}
     answer = jaxstab.joints(arm(slack=1e6), rate=500.0, delay=2e-3, gains=gains)

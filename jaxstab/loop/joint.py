@@ -39,7 +39,10 @@ PD = tuple[float, float]
 
 
 class Joint(NamedTuple):
-    """A joint, its range of inertia, and the ``reason`` why it is not answered for, if any."""
+    """A joint, its range of inertia, and the ``reason`` why it is not answered for, if any.
+
+    ``servo`` is that against its own gains alone.
+    """
 
     turns: bool
     least: float
@@ -49,6 +52,7 @@ class Joint(NamedTuple):
     friction: float
     gains: PD
     reason: str | None
+    servo: str | None = None
 
 
 class JointControl(NamedTuple):

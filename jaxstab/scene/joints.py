@@ -87,9 +87,10 @@ def joints(
     given = _checked_gains({} if gains is None else gains, [*found])
     plain = Joint(True, 1.0, 1.0, 0.0, 0.0, 0.0, (1.0, 1.0), None)
     JointLoop(control, plain, plain.gains).verdict_at(1.0)  # refuses timing that no joint can have
-    questions = {
-        name: JointLoop(control, own, given.get(name, own.gains)) for name, own in found.items()
-    }
+    questions = {}
+    for name, own in found.items():
+        judged = own if name in given else own._replace(reason=own.reason or own.servo)
+        questions[name] = JointLoop(control, judged, given.get(name, own.gains))
     source = str(robot) if isinstance(robot, str | PathLike) else "a model"
     sampled = f"at {postures} postures, with the other joints free to held; armature included"
     inputs = GainAnswer({"robot": source, "loop": str(control), "inertia": sampled})

@@ -59,36 +59,119 @@ def joints_of(model: Any, postures: int) -> dict[str, Joint]:
     import mujoco
 
     least, greatest = _inertias(model, postures)
-    reasons, joints = _reasons(model), {}
+    reasons, servos, joints = _reasons(model), _other_servos(model), {}
+    no_springs, no_dampers = (_is_off(model, name) for name in ("SPRING", "DAMPER"))
     for index, kind in enumerate(model.jnt_type.tolist()):
-        own, place = model.joint(index), model.jnt_dofadr[index]
+        place = model.jnt_dofadr[index]
         gains, damping = _actuators(model, index)
-        joints[own.name or f"joint {index}"] = Joint(
+        joint = Joint(
             kind != mujoco.mjtJoint.mjJNT_SLIDE,
             float(least[place]),
             float(greatest[place]),
-            float(model.dof_damping[place]) + damping,
-            float(model.jnt_stiffness[index]),
+            0.0 if no_dampers else float(model.dof_damping[place]) + damping,
+            0.0 if no_springs else float(model.jnt_stiffness[index]),
             float(model.dof_frictionloss[place]),
             gains,
             reasons.get(index),
+            servos.get(index) or _negative(gains),
         )
+        joints[_name(model, index)] = joint
     return joints
+
+
+def _name(model: Any, joint: int) -> str:
+    """The name of a joint, or its number in a name that no other one has."""
+    names = [model.joint(index).name for index in range(model.njnt)]
+    name = names[joint] or f"joint {joint}"
+    while not names[joint] and name in names:
+        name += " (no name)"
+    return name
+
+
+def _negative(gains: PD) -> str | None:
+    kp, kd = gains
+    words = f"its actuators have kp = {kp:g} and kd = {kd:g}; give gains of 0 or more"
+    return words if min(gains) < 0.0 else None
+
+
+def _is_off(model: Any, part: str) -> bool:
+    """True if the file disables a part of the simulation; old versions know PASSIVE alone."""
+    import mujoco
+
+    bits = mujoco.mjtDisableBit
+    part = "PASSIVE" if hasattr(bits, "mjDSBL_PASSIVE") and part in ("SPRING", "DAMPER") else part
+    return bool(model.opt.disableflags & int(getattr(bits, f"mjDSBL_{part}")))
+
+
+def _acting(model: Any) -> np.ndarray:
+    """True for actuators that the file does not disable, all of them or by their group."""
+    off, groups = model.opt.disableactuator, model.actuator_group
+    in_group = (groups >= 0) & (groups < 31) & (off >> np.clip(groups, 0, 30) & 1 > 0)
+    return ~in_group & (not _is_off(model, "ACTUATION"))
 
 
 def _actuators(model: Any, joint: int) -> tuple[PD, float]:
     """The gains of the position and velocity actuators of a joint, and the damping they add."""
+    own = _at_joints(model) & (model.actuator_trnid[:, 0] == joint) & _acting(model)
+    gear = model.actuator_gear[own, 0] ** 2  # of the angle, and of the torque
+    damping = getattr(model, "actuator_damping", np.zeros(len(own)))[own]  # new versions have it
+    kp, kd = -(gear * _has_bias(model)[own]) @ model.actuator_biasprm[own, 1:3]
+    return (float(kp) + 0.0, float(kd) + 0.0), float(gear @ damping)
+
+
+def _at_joints(model: Any) -> np.ndarray:
     import mujoco
 
-    places = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-    own = np.isin(model.actuator_trntype, [*map(int, places)]) & (
-        model.actuator_trnid[:, 0] == joint
-    )
-    gear = model.actuator_gear[own, 0] ** 2  # of the angle, and of the torque
-    damping = getattr(model, "actuator_damping", np.zeros(model.nu))[own]  # new versions have it
-    is_pd = model.actuator_biastype[own] == int(mujoco.mjtBias.mjBIAS_AFFINE)
-    kp, kd = -(gear * is_pd) @ model.actuator_biasprm[own, 1:3]
-    return (float(kp) + 0.0, float(kd) + 0.0), float(gear @ damping)
+    places = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
+    return np.isin(model.actuator_trntype, [*map(int, places)])
+
+
+def _has_bias(model: Any) -> np.ndarray:
+    import mujoco
+
+    return np.equal(model.actuator_biastype, int(mujoco.mjtBias.mjBIAS_AFFINE))
+
+
+def _other_servos(model: Any) -> dict[int, str]:
+    """Joints that an actuator moves by another law than kp and kd of their own angle, and which."""
+    import mujoco
+
+    ways, at_joint, found = mujoco.mjtTrn, _at_joints(model), dict[int, str]()
+    for index in np.flatnonzero(_acting(model)).tolist():
+        way, ends = ways(model.actuator_trntype[index]), model.actuator_trnid[index].tolist()
+        is_pd, moved = _is_pd(model, index), set[int]()
+        if at_joint[index] and not is_pd:
+            moved = {ends[0]}
+        elif way in (ways.mjTRN_SITE, ways.mjTRN_SLIDERCRANK):
+            is_motor = is_pd and not np.any(model.actuator_biasprm[index, 1:3])
+            for body in model.site_bodyid[[end for end in ends if end >= 0 and not is_motor]]:
+                moved ^= _above(model, int(body))
+        name = model.actuator(index).name or index
+        words = f"actuator {name} has another law than kp and kd of this joint; give its gains"
+        found |= dict.fromkeys(moved, words)
+    return found
+
+
+def _is_pd(model: Any, actuator: int) -> bool:
+    """True if its force is kp and kd times its own length and speed, and what it is commanded."""
+    import mujoco
+
+    bias = mujoco.mjtBias(model.actuator_biastype[actuator]).name
+    kind = mujoco.mjtGain(model.actuator_gaintype[actuator]).name
+    gain, *slopes = model.actuator_gainprm[actuator, :3]
+    has_gain = {
+        "mjGAIN_FIXED": True,
+        "mjGAIN_AFFINE": not any(slopes),  # else commands change the stiffness
+        "mjGAIN_PID": gain == 0.0,  # of the integral
+    }
+    is_linear = bias in ("mjBIAS_NONE", "mjBIAS_AFFINE") and has_gain.get(kind, False)
+    own = model.actuator_plugin[actuator] < 0 and not _curve(model, "actuator_damping", actuator)
+    return bool(is_linear and own)
+
+
+def _curve(model: Any, name: str, index: int) -> bool:
+    """True if a spring or damper has coefficients beyond the linear one, as in new versions."""
+    return bool(np.any(getattr(model, f"{name}poly", np.zeros((index + 1, 1)))[index]))
 
 
 def _reasons(model: Any) -> dict[int, str]:
@@ -97,15 +180,22 @@ def _reasons(model: Any) -> dict[int, str]:
 
     kinds, ways, along = mujoco.mjtJoint, mujoco.mjtEq, _along_tendons(model)
     reasons = dict[int, str]()
-    driven = model.actuator_trnid[model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON), 0]
+    for index, place in enumerate(model.jnt_dofadr.tolist()):
+        if _curve(model, "jnt_stiffness", index) or _curve(model, "dof_damping", place):
+            reasons[index] = "its spring or damper is not linear"
+    at_tendon = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON)
+    driven = model.actuator_trnid[at_tendon & _acting(model), 0]
     for index in range(model.ntendon):
-        if index in driven or model.tendon_stiffness[index] or model.tendon_damping[index]:
+        held = model.tendon_stiffness[index] or model.tendon_damping[index]
+        curves = (_curve(model, f"tendon_{part}", index) for part in ("stiffness", "damping"))
+        if index in driven or held or any(curves):
             words = f"tendon {model.tendon(index).name or index} moves it with other joints"
             reasons |= dict.fromkeys(along[index], words)
-    for index in np.flatnonzero(model.eq_active0).tolist():
+    for index in np.flatnonzero(model.eq_active0 * (not _is_off(model, "EQUALITY"))).tolist():
         kind, pair = int(model.eq_type[index]), (model.eq_obj1id[index], model.eq_obj2id[index])
         ends, words = [end for end in map(int, pair) if end >= 0], "ties it to another joint"
         tied = {*ends} if kind == ways.mjEQ_JOINT else set[int]()
+        words = "holds it at a place" if len(tied) == 1 else words
         if kind == ways.mjEQ_TENDON:
             tied = tied.union(*(along[end] for end in ends))
         elif kind in (ways.mjEQ_CONNECT, ways.mjEQ_WELD):
