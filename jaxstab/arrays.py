@@ -30,15 +30,35 @@ Class = TypeVar("Class", bound=type)
 
 
 class NamedCode(np.int8):
-    """The code of one verdict or status: an int8 of NumPy that prints its name."""
+    """The code of one verdict or status: an int8 of NumPy with its name."""
 
     kind: ClassVar[type[IntEnum]]
 
+    @property
+    def member(self) -> IntEnum:
+        """The verdict or status itself, with its words."""
+        return self.kind(int(self))
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return self.member.name
+
+    @property
+    def value(self) -> int:
+        """Its number."""
+        return int(self)
+
+    @property
+    def words(self) -> str:
+        """The description of a status; a verdict has none but its name."""
+        return getattr(self.member, "words", self.name)
+
     def __repr__(self) -> str:
-        return repr(self.kind(int(self)))
+        return repr(self.member)
 
     def __str__(self) -> str:
-        return self.kind(int(self)).name
+        return self.name
 
     def __format__(self, spec: str) -> str:
         return format(int(self), spec) if spec else str(self)

@@ -271,6 +271,7 @@ def test_issue_31_22_the_code_of_one_wall_prints_its_name(
         assert f"{verdict:d}" == str(int(verdict)) == str(int(expected))
         assert verdict == expected
         assert jaxstab.Verdict(verdict) is expected
+        assert (verdict.name, verdict.value, verdict.words) == (code, int(expected), code)
         assert {expected: True}[verdict]
         assert verdict.dtype == np.int8
         assert verdict.shape == ()
@@ -278,7 +279,9 @@ def test_issue_31_22_the_code_of_one_wall_prints_its_name(
         assert repr(verdict + 0) == f"np.int8({int(expected)})"
         assert jnp.asarray(verdict).dtype == jnp.int8
     radius = PLAIN.spectral_radius(*wall)
-    assert repr(radius.status) == repr(jaxstab.results.RadiusStatus.PROVED)
+    proved = jaxstab.results.RadiusStatus.PROVED
+    assert repr(radius.status) == repr(proved)
+    assert (radius.status.name, radius.status.words) == ("PROVED", proved.words)
     many = PLAIN.verdict(np.array([wall[0]]), wall[1])
     assert repr(many) == f"array([{int(expected)}], dtype=int8)"
 
