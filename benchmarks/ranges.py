@@ -28,9 +28,9 @@ from jaxstab import Filter, Velocity
 from jaxstab.boxes import HandRange, RobustLimit
 from jaxstab.conventions import Verdict
 from jaxstab.loop import HapticLoop
-from jaxstab.loop.margins import WAYS, crossings_of, first_crossings
+from jaxstab.loop.margins import WAYS, crossings_of
 from jaxstab.model import by_name, characteristic_polynomial
-from jaxstab.model.filters import given_filters
+from jaxstab.motion.response import unit_loops
 from jaxstab.results import StableRegion
 
 _WALLS, _SMALL_WALLS = 400, 6
@@ -93,8 +93,8 @@ def margins(
 def _crossings(loop: Loop, wall: np.ndarray) -> Sequence[float]:
     """The answer of jaxstab: for arrays of loops of one mass, and for one device in SI."""
     if isinstance(loop, MassLoop):
-        filters = given_filters(*loop.filters[:2])
-        return first_crossings(np.array([[*wall, *loop.plant]]), filters)[0]
+        made = unit_loops(*loop.filters[:2])(*loop.plant)
+        return crossings_of(made, tuple(wall.tolist()))
     return crossings_of(loop.loop, tuple((wall / loop.units).tolist()))
 
 

@@ -20,7 +20,8 @@ from benchmarks.plots import DRAWINGS
 from benchmarks.ranges import PLAIN, is_limit_wrong, judged_steps, steps_to
 from benchmarks.truth.random_loops import MassLoop
 from jaxstab import HandRange, HapticLoop
-from jaxstab.loop.margins import first_crossings
+from jaxstab.loop.margins import crossings_of
+from jaxstab.model.loop import unit_loop
 
 pytestmark = pytest.mark.campaign
 
@@ -245,7 +246,7 @@ def test_the_judges_of_ranges_find_margins_and_limits_that_are_false(
 ) -> None:
     """A margin 13 % short, and a limit 2.4 times too low: both were once answers."""
     loop, wall = MassLoop(WALL[2:], PLAIN), np.array(WALL[:2])
-    steps = steps_to(first_crossings(np.array([WALL]))[0][1::2], wall)
+    steps = steps_to(crossings_of(unit_loop(*WALL[2:], None, None), WALL[:2])[1::2], wall)
     for share, wrong, short in ((1.0, 0, 0), (0.87, 0, 5), (1.01, 5, 0)):
         tally = judged_steps(loop, wall, share * steps, loop.region())
         assert (tally.wrong, tally.short) == (wrong, short)

@@ -166,7 +166,7 @@ def test_settling_refuses_traced_filters_in_one_sentence() -> None:
             *WALL, **by_name(*PLANTS[0]), velocity=Velocity.low_pass(cutoff)
         )
 
-    with pytest.raises(TypeError, match="filters of concrete numbers"):
+    with pytest.raises(TypeError, match="JAX traces; give numbers"):
         jax.jit(settled)(0.1)
 
 

@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, are_numbers, float_arrays, is_jax, namespace
-from jaxstab.batches import on_host
 from jaxstab.conventions import Verdict
 from jaxstab.exact import DelayMargin, TripleAt, delay_margin, stable_line, wall_verdict
 from jaxstab.exact.line import End
@@ -23,9 +22,10 @@ from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x6
 from jaxstab.model.balls import ball_loop, ball_triple
 from jaxstab.model.device.device import in_steps
 from jaxstab.model.device.sampling import one_sample
-from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, known_filters
-from jaxstab.model.loop import LoopParameters, refuses_loops, unit_loop
+from jaxstab.model.filters import Filter, Velocity, known_filters
+from jaxstab.model.loop import LoopParameters, refuses_loops
 from jaxstab.model.parameters import LONGEST_DELAY, wall_grid
+from jaxstab.motion.response import asked_of_lanes, unit_loops
 from jaxstab.numbers import checked, without_noise
 from jaxstab.shown import number_text, table_text
 
@@ -44,20 +44,6 @@ class Crossing(NamedTuple):
     angle: float
 
 
-def first_crossings(
-    walls: Float64[np.ndarray, "wall 5"], filters: Filters | None = None
-) -> Float64[np.ndarray, "wall column"]:
-    """The verdict on each wall of five numbers and then, each way of ``WAYS``, end and angle.
-
-    Both are NaN for a wall that is not proved stable.
-    """
-    rows = [
-        crossings_of(unit_loop(*plant, **as_keywords(filters)), (alpha, beta))
-        for alpha, beta, *plant in walls.tolist()
-    ]
-    return np.reshape(rows, (len(rows), 1 + 2 * len(WAYS)))
-
-
 def loop_margins(loop: LoopParameters, stiffness: Numbers, damping: Numbers) -> "WallMargins":
     """The margins of walls of one loop, in SI units."""
     point = wall_grid(stiffness=stiffness, damping=damping)
@@ -68,7 +54,10 @@ def loop_margins(loop: LoopParameters, stiffness: Numbers, damping: Numbers) -> 
 
 
 def crossings_of(loop: LoopParameters, wall: tuple[float, float]) -> list[float]:
-    """The same of a wall (K, B) of a loop, in SI units; the delay in samples."""
+    """The verdict on a wall (K, B) of a loop and then, each way of ``WAYS``, end and angle.
+
+    They are in SI units, the delay in samples; NaN for a wall that is not proved stable.
+    """
     code = wall_verdict(partial(ball_triple, loop), *wall).verdict
     ways = [Crossing(nan, nan)] * len(WAYS)
     if code == Verdict.STABLE:
@@ -265,12 +254,11 @@ def margins(
     xp = namespace(arrays)
     point: Array = xp.stack(xp.broadcast_arrays(*arrays), axis=-1)
 
-    def search(*walls: np.ndarray) -> tuple[Any, ...]:
-        rows = first_crossings(np.stack(walls, axis=-1).reshape(-1, len(walls)), filters)
-        return tuple(np.moveaxis(rows.reshape(*walls[0].shape, rows.shape[-1]), -1, 0))
+    def ask(loop: LoopParameters, alpha: float, beta: float) -> list[float]:
+        return crossings_of(loop, (alpha, beta))
 
-    like = (np.float64,) * (1 + 2 * len(WAYS))
-    code, *found = on_host(search, *arrays, shape=point.shape[:-1], like=like)
+    loop_of, count = unit_loops(velocity, position), 1 + 2 * len(WAYS)
+    code, *found = asked_of_lanes(ask, loop_of, arrays, count, is_count=True)
     ends = xp.stack(found[::2], axis=-1)
     if is_jax(point):
         from jaxstab.loop.moving import moving_ends

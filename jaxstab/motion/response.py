@@ -30,7 +30,6 @@ from jaxstab.arrays import (
     are_numbers,
     fixed,
     float_arrays,
-    is_any_traced,
     is_traced,
     leaves,
     namespace,
@@ -606,11 +605,6 @@ def unit_loops(
 
     None where there is none, as where JAX traced the numbers, so that nobody checked them.
     """
-    if is_any_traced(velocity, position):
-        raise TypeError(
-            "a filter is traced; this is computed outside of JAX: give filters of concrete numbers."
-        )
-
     filters = known_filters(velocity, position) or (None, None)
 
     @lru_cache(maxsize=64)

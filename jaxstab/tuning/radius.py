@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
-from jaxstab.arrays import Array, Numbers, constant, float_arrays, is_any_traced, namespace, take
+from jaxstab.arrays import Array, Numbers, constant, float_arrays, namespace, take
 from jaxstab.batches import on_host
 from jaxstab.conventions import Status, Verdict
 from jaxstab.model import (
@@ -39,7 +39,7 @@ from jaxstab.model.filters import (
     Filters,
     Velocity,
     as_keywords,
-    given_filters,
+    known_filters,
 )
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.loop import LoopParameters, unit_loop
@@ -641,13 +641,8 @@ def minimize_radius(
     if alpha is not None:
         alpha = checked_number("alpha", checked_gain("alpha", alpha))
     delay = checked_number("delay", delay, 0.0)
-    filters = given_filters(velocity, position)
+    filters = known_filters(velocity, position)
     gamma, delta = float_arrays(checked_gamma(gamma), checked_delta(delta))
-    if is_any_traced(filters):
-        raise TypeError(
-            "the best gains are searched for outside of JAX: give filters of concrete numbers, not "
-            "traced."
-        )
     xp = namespace(gamma, delta)
     plants = xp.broadcast_arrays(gamma, delta)
     search = partial(_searched, delay=delay, filters=filters, alpha=alpha)
