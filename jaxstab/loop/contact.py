@@ -15,7 +15,7 @@ from jaxstab.conventions import Status
 from jaxstab.loop.jitter import turn_of
 from jaxstab.model import LoopParameters, checked_gain, require_x64
 from jaxstab.model.device.mechanics import handle_equations
-from jaxstab.model.filters import NO_FILTERS, given_filters
+from jaxstab.model.filters import given_filters
 from jaxstab.motion.contact import (
     FASTEST,
     LIMIT,
@@ -27,7 +27,7 @@ from jaxstab.motion.contact import (
     contacts,
     paths,
 )
-from jaxstab.motion.response import Column, Controller, Response, answer_text
+from jaxstab.motion.response import Column, Controller, Response, answer_text, controller_for
 from jaxstab.numbers import checked, checked_number
 
 if TYPE_CHECKING:
@@ -284,10 +284,9 @@ def setup_of(
     )
     runs = Runs(*(np.array(column) for column in np.broadcast_arrays(*columns)))
     _refuse_odd(runs, unit, support)
-    filters = given_filters(**loop.filters) or NO_FILTERS
     return _Setup(
         mechanism,
-        Controller.from_filters(filters),
+        controller_for(given_filters(**loop.filters)),
         runs,
         runs.alpha.shape,
         samples,

@@ -12,7 +12,7 @@ off its difference equations, entry by entry, from unit memories.
 """
 
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from decimal import ROUND_HALF_EVEN
 from functools import cached_property, lru_cache, reduce
@@ -35,6 +35,7 @@ from jaxstab.arrays import (
     namespace,
     pytree,
     repeat_and_keep,
+    tree_map,
 )
 from jaxstab.batches import compiled, on_host
 from jaxstab.conventions import Status
@@ -556,11 +557,12 @@ def loops_of(
     plant = np.broadcast_to(plant, (stiffness.size, len(starts.at_rest)))
     waiting = (force,) * whole_delay
     begun = tuple(plant.T), controller.at_rest(position), force, waiting
-    start = np.stack(np.broadcast_arrays(*_leaves(begun)), axis=-1)
+    start = np.stack(np.broadcast_arrays(*leaves(begun)), axis=-1)
     walls = stiffness[:, None], damping[:, None], 0.0
     step = _step_of(rows.tolist(), controller, walls, unilateral=False)
-    after, _ = step(_like(begun, iter(np.eye(start.shape[1]))))
-    columns = [np.broadcast_to(row, start.shape) for row in _leaves(after)]
+    unit_states = iter(np.eye(start.shape[1]))
+    after, _ = step(tree_map(lambda _: next(unit_states), begun))
+    columns = [np.broadcast_to(row, start.shape) for row in leaves(after)]
     return Loops(np.stack(columns, axis=1), start)
 
 
@@ -584,18 +586,6 @@ def _mapped(matrices: Matrices, states: np.ndarray) -> Float64[np.ndarray, "loop
     turned = np.swapaxes(matrices, 1, 2)
     blocks = range(0, states.shape[1], _BLOCK)
     return np.concatenate([states[:, k : k + _BLOCK] @ turned for k in blocks], axis=1)
-
-
-def _leaves(state: Any) -> list[Any]:
-    """The arrays of a state in tuples."""
-    return [x for part in state for x in _leaves(part)] if isinstance(state, tuple) else [state]
-
-
-def _like(state: Any, values: Iterator[Any]) -> Any:
-    """A state with these values for its arrays."""
-    if isinstance(state, tuple):
-        return tuple(_like(part, values) for part in state)
-    return next(values)
 
 
 def unit_loops(
