@@ -166,9 +166,11 @@ class HapticLoop(LoopParameters, TwoGains):
         if found := measured(self):
             return found.limits()
         if is_any_traced(self):
-            from jaxstab.loop.moving import moving_limits
+            from jaxstab.loop.many import common_form
+            from jaxstab.loop.moving import moving_regions
 
-            return WallLimits(*moving_limits(self)[:-1])
+            moved = moving_regions(self, common_form([self]), outlines=False)
+            return WallLimits(*moved.limits[:-1])
         return self.region().limits()
 
     def stiffness_limits(self, damping: Numbers) -> Float64[Array, "*grid 2"]:

@@ -15,7 +15,7 @@ from dataclasses import replace
 from functools import lru_cache, partial, reduce
 from itertools import accumulate, chain
 from math import prod
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, overload
+from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
@@ -60,7 +60,6 @@ Outlines = tuple[
     Float64[np.ndarray, "*loop"],
 ]
 Units = Float64[np.ndarray, "loop 2"]
-Answer = TypeVar("Answer", "ManyLimits", "ManyGainLimits", "ManyRegions")
 
 
 class ManyLimits(NamedTuple):
@@ -154,19 +153,7 @@ def limits_of(loops: Any, **fields: Any) -> "ManyLimits | ManyGainLimits":
         array([[ 68763., 137392.],
                [ 14498.,  28945.]])
     """
-    many, fields, shape = _given(loops, fields)
-    if is_any_traced(many, fields):
-        from jaxstab.loop.moving import moved_together, moving_limits
-
-        many = _varied(many, fields, shape)
-        return _in_shape(moved_together(moving_limits, many), shape)
-    stacks = _stacks(many, fields, shape)
-    limits, units = _no_limits(prod(shape), _are_of_gains(many)), _units(stacks)
-    for members, (extremes, _) in resolved(stacks):
-        _write_limits(limits, members, extremes, units[members])
-    for index, loop in singles(stacks, limits.is_single):
-        _write_single(limits, index, _limits_alone(loop))
-    return _in_shape(limits, shape)
+    return _answered(loops, fields, outlines=False).limits
 
 
 class ManyGainLimits(NamedTuple):
@@ -244,20 +231,27 @@ def regions_of(
         >>> round(float(stiffness.max() / regions.limits.stiffness[1]), 9)
         1.0
     """
+    return _answered(loops, fields, outlines=True)
+
+
+def _answered(loops: Any, fields: dict[str, Any], *, outlines: bool) -> ManyRegions:
+    """The limits of many loops and, with ``outlines``, their outlines and areas."""
     many, fields, shape = _given(loops, fields)
     if is_any_traced(many, fields):
-        from jaxstab.loop.moving import moved_together, moving_regions
+        from jaxstab.loop.moving import moved_together
 
-        many = _varied(many, fields, shape)
-        return _in_shape(moved_together(moving_regions, many), shape)
+        moved = moved_together(_varied(many, fields, shape), outlines=outlines)
+        return _in_shape(moved, shape)
     stacks = _stacks(many, fields, shape)
     limits, units = _no_limits(prod(shape), _are_of_gains(many)), _units(stacks)
-    vertices, area = np.full((prod(shape), _VERTICES, 2), np.nan), np.full(prod(shape), np.nan)
-    for members, (extremes, outline) in resolved(stacks, outlines=True):
+    found: Any = empty_outlines(prod(shape)) if outlines else (None,) * 3
+    vertices, _, area = found
+    for members, (extremes, outline) in resolved(stacks, outlines=outlines):
         _write_limits(limits, members, extremes, units[members])
-        vertices[members], area[members] = outline.vertices * units[members, None], outline.area
-    is_open = limits.is_single.copy()
-    if _are_of_gains(many):
+        if outlines:
+            vertices[members], area[members] = outline.vertices * units[members, None], outline.area
+    is_open = limits.is_single & outlines
+    if outlines and _are_of_gains(many):
         limits.is_single[[not loop._chart.are_gains for loop in many]] = True
     for index, loop in singles(stacks, limits.is_single):
         _write_single(limits, index, _limits_alone(loop))
@@ -266,7 +260,9 @@ def regions_of(
             own, _, area[index] = outline_of(region)
             units[index] = region.units
             vertices[index] = own * units[index]
-    return _in_shape(ManyRegions(vertices, area * units.prod(axis=1), limits), shape)
+    if outlines:
+        area *= units.prod(axis=1)
+    return _in_shape(ManyRegions(vertices, area, limits), shape)
 
 
 def empty_outlines(*shape: int) -> Outlines:
@@ -331,7 +327,7 @@ def _write_single(limits: ManyLimits | ManyGainLimits, index: int, own: Any) -> 
         column[index] = value
 
 
-def _in_shape(answer: Answer, shape: tuple[int, ...]) -> Answer:
+def _in_shape(answer: ManyRegions, shape: tuple[int, ...]) -> ManyRegions:
     """Return the answers to loops in the shape of these."""
     return tree_map(lambda column: column.reshape((*shape, *column.shape[1:])), answer)
 

@@ -16,7 +16,7 @@ searched there one by one, by a callback.
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache, lru_cache, partial
 from math import pi
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -49,7 +49,6 @@ from jaxstab.region.batch import Triples, components, cross
 from jaxstab.region.closed_form import Responses, circle_equations
 from jaxstab.region.outline import vertex_roots
 
-Answer = TypeVar("Answer")
 _Numbers = tuple[Any, Responses]  # of the plant: gamma, delta and the delay
 
 _REAL = 2e-6  # rad: a root this near to the real axis is real; scans of batches begin at 1e-6
@@ -62,16 +61,14 @@ class _Extreme(NamedTuple):
     alpha: Array
     beta: Array
     angle: Array
-    other_angle: (
-        Array  # NaN where the boundary turns, or crosses the axis: then the other gain is 0
-    )
+    other_angle: Array  # NaN where the boundary turns, or on the axis: the other gain is 0 there
     status: Array
     is_reachable: Array
     is_single: Array
 
 
-def moved_together(answer: Callable[..., Answer], given: list[Any]) -> Answer:
-    """Return an answer to each of many loops, some of which JAX traces.
+def moved_together(given: list[Any], *, outlines: bool) -> ManyRegions:
+    """Return ``moving_regions`` of each of many loops, some of which JAX traces.
 
     Loops of one structure are stacked: their filters are of the same kinds, orders and windows.
     """
@@ -79,7 +76,8 @@ def moved_together(answer: Callable[..., Answer], given: list[Any]) -> Answer:
     groups = alike(map(jax.tree.structure, loops))
     answers = []
     for members in groups:
-        own = partial(answer, form=common_form([given[index] for index in members]))
+        form = common_form([given[index] for index in members])
+        own = partial(moving_regions, form=form, outlines=outlines)
         if len(members) == 1:  # under vmap of the caller it meets the others of its kind
             answers.append(jax.tree.map(lambda column: column[None], own(loops[members[0]])))
         else:
@@ -88,34 +86,22 @@ def moved_together(answer: Callable[..., Answer], given: list[Any]) -> Answer:
             )
             answers.append(jax.vmap(own)(stack))
     order = np.argsort(np.concatenate(groups))
-    moved: Answer = jax.tree.map(lambda *columns: jnp.concatenate(columns)[order], *answers)
+    moved: ManyRegions = jax.tree.map(lambda *columns: jnp.concatenate(columns)[order], *answers)
     return moved
 
 
-def moving_limits(loop: LoopParameters, form: Form | None = None) -> ManyLimits:
-    """Return the limits of a traced loop, differentiable once in its leaves; islands are left out.
+def moving_regions(loop: LoopParameters, form: Form | None, *, outlines: bool) -> ManyRegions:
+    """Return the limits of a traced loop and, with ``outlines``, its outline and area, else None.
 
-    All are NaN where no wall is stable and where the region is UNRESOLVED; derivatives are NaN
-    where more than two roots are on the circle.
+    They are differentiable once in its leaves; islands are left out. All are NaN where no wall is
+    stable and where the region is UNRESOLVED; derivatives are NaN where more than two roots are on
+    the circle.
     """
-    extremes, _ = _searched(loop, form or common_form([loop]))
-    limits: ManyLimits = _moved(loop, _Extreme(*extremes.T))
-    return limits
-
-
-def moving_regions(loop: LoopParameters, form: Form | None) -> ManyRegions:
-    """Return the outline, the area and the limits of a traced loop, as ``moving_limits`` does."""
-    extremes, outline = _searched(loop, form, outlines=True)
-    moved: tuple[Array, Array] = _moved_outline(loop, outline)
-    return ManyRegions(*moved, _moved(loop, _Extreme(*extremes.T)))
-
-
-def _searched(
-    loop: LoopParameters, form: Form | None, *, outlines: bool = False
-) -> tuple[Array, Any]:
     leaves, structure = jax.tree.flatten(loop)
     search = _search(structure, form, outlines=outlines)
-    return search(*(jax.lax.stop_gradient(leaf) for leaf in leaves))
+    extremes, outline = search(*(jax.lax.stop_gradient(leaf) for leaf in leaves))
+    vertices, area = _moved_outline(loop, outline) if outlines else (None, None)
+    return ManyRegions(vertices, area, _moved(loop, _Extreme(*extremes.T)))
 
 
 @cache
