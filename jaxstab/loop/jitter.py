@@ -15,12 +15,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int8
 
-from jaxstab.arrays import Array, Numbers, is_any_traced, named
+from jaxstab.arrays import Array, Numbers, named
 from jaxstab.conventions import Range, Verdict
 from jaxstab.exact.small_gain import SmallGainStatus, largest_jitter, small_gain
 from jaxstab.exact.verdict import wall_verdict
 from jaxstab.loop.region import TOLERANCE, WallLimits, wall_region
-from jaxstab.model import LoopParameters, require_x64
+from jaxstab.model import LoopParameters
 from jaxstab.model.balls import ball_loop, ball_triple
 from jaxstab.model.device.sampling import late_cosines
 from jaxstab.model.parameters import LONGEST_DELAY, wall_grid
@@ -142,12 +142,10 @@ class MovingLoop(NamedTuple):
 
     def verdict(self, stiffness: Numbers, damping: Numbers) -> Int8[Array, "*grid"]:
         """Return the verdicts on walls: ``HapticLoop.verdict``."""
-        return named(_each(self.code, np.int8, stiffness, damping), Verdict)
+        return named(each_wall(self.code, np.int8, stiffness, damping), Verdict)
 
     def worst_delays(self, stiffness: float, damping: float) -> WorstDelays:
         """Return the worst delays that a search found: ``HapticLoop.worst_delays``."""
-        require_x64(stiffness, damping)
-        refuse_traced(stiffness, damping)
         gains = checked_number("stiffness", stiffness), checked_number("damping", damping)
         growth, is_proved = self.worst(*gains, is_thorough=True)
         turn = tuple(delay * float(self.loop.sample_time) for delay in growth.turn)
@@ -249,15 +247,13 @@ def jitter_margin(
         return largest_jitter(parts, moving.late_cosines, (stiffness, damping), most)
 
     period = float(moving.loop.sample_time) * (1.0 - 8.0 * EPS)
-    return np.asarray(_each(samples, np.float64, stiffness, damping) * period)
+    return np.asarray(each_wall(samples, np.float64, stiffness, damping) * period)
 
 
-def _each(
+def each_wall(
     judge: Callable[[float, float], float], kind: type, stiffness: Numbers, damping: Numbers
 ) -> np.ndarray:
     """The answer for each wall, as numbers of a kind."""
-    require_x64(stiffness, damping)
-    refuse_traced(stiffness, damping)
     grid = wall_grid(stiffness=stiffness, damping=damping)
     answers = (judge(*wall) for wall in grid.reshape(-1, 2).tolist())
     return np.fromiter(answers, kind, grid.size // 2).reshape(grid.shape[:-1])
@@ -276,12 +272,6 @@ def turn_of(loop: LoopParameters, delays: Any) -> tuple[float, ...]:
         )
     samples = {delay: replace(loop, delay=delay).delay_samples for delay in set(finite.tolist())}
     return tuple(samples.get(delay, inf) for delay in given.tolist())
-
-
-def refuse_traced(*values: Any) -> None:
-    """Refuse gains, or what else is given beside delays, that JAX traces."""
-    if is_any_traced(*values):
-        raise TypeError("a value is traced; with delays give numbers, outside of jit and grad.")
 
 
 def _checked_range(delays: Any) -> Range:

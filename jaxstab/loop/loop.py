@@ -568,17 +568,16 @@ class HapticLoop(LoopParameters, TwoGains):
             4.21 of 5.76 ms
         """
         self._refuse_many("jitter_margin")
-        from jaxstab.loop.jitter import jitter_margin, refuse_traced
+        from jaxstab.loop.jitter import each_wall, jitter_margin
 
         if hands is None:
             if mass is not None:
                 raise TypeError(f"mass is {mass} without hands; give hands=jaxstab.HandRange().")
             return jitter_margin(self, stiffness, damping)
-        refuse_traced(stiffness, damping)
         from jaxstab.loop.hands import LoopsWithHands
 
         with_hands = LoopsWithHands.from_loop(self, hands, mass, None, (self.delay,) * 2, 0)
-        return np.vectorize(with_hands.jitter_margin, otypes=[np.float64])(stiffness, damping)
+        return each_wall(with_hands.jitter_margin, np.float64, stiffness, damping)
 
     def worst_delays(
         self, stiffness: float, damping: float, *, delays: Range, lost: int = 0
@@ -769,9 +768,12 @@ class HapticLoop(LoopParameters, TwoGains):
             "initial_position": initial_position, "between": between, "unilateral": unilateral,
         }  # fmt: skip
         if delays is not None:
-            from jaxstab.loop.jitter import refuse_traced, turn_of
+            from jaxstab.loop.jitter import turn_of
 
-            refuse_traced(stiffness, damping, *options.values())
+            if is_any_traced(stiffness, damping, options):
+                raise TypeError(
+                    "a value is traced; with delays give numbers, outside of jit and grad."
+                )
             options["delays"] = turn_of(self.in_floats(), delays)
         return motion.simulate(self, stiffness, damping, **options)
 
