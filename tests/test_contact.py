@@ -352,7 +352,7 @@ def test_a_map_is_one_program_that_never_returns_to_the_host(name: str, loops: i
 
     def summed(samples: Any, arrays: Any, controller: Any, runs: Any) -> Any:
         own = arrays._replace(oldest=plant.oldest)
-        return kernel._summary(own, controller, runs, samples, one_sided=True, pulls=False)
+        return kernel._summary(own, controller, runs, samples, kernel.Sides(True, False))
 
     text = jax.jit(summed).lower(4000, arrays, setup.controller, setup.runs).as_text()
     assert text.count("stablehlo.while") == 1 + loops * len(plant.flows[0])

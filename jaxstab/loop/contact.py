@@ -23,6 +23,7 @@ from jaxstab.motion.contact import (
     Mechanism,
     Plant,
     Runs,
+    Sides,
     Summary,
     contacts,
     paths,
@@ -121,7 +122,7 @@ class _Setup(NamedTuple):
     runs: Runs
     shape: tuple[int, ...]
     samples: int
-    sides: dict[str, bool]
+    sides: Sides
     period: float
     unit: float  # N that are 1
 
@@ -153,7 +154,7 @@ class _Setup(NamedTuple):
     def _kinds(self, values: Summary) -> Int8[np.ndarray, "*grid"]:
         growth = 1.5  # of the amplitude, from one quarter of a run to the next
         size, earlier = values.high - values.low, values.earlier_high - values.earlier_low
-        is_one_sided = self.sides["one_sided"]
+        is_one_sided = self.sides.one_sided
         surface = -self.runs.tolerance - 0.5 * self.runs.encoder  # further outside nothing acts
         cases = [
             (values.deepest >= LIMIT, ContactKind.GROWS),
@@ -177,7 +178,7 @@ def contact(loop: LoopParameters, stiffness: Numbers, damping: Numbers, **option
     if not setup.shape and isinstance(setup.plant, Plant):
         # Numbers of Python are several times faster here.
         runs = Runs(*(column.item() for column in runs))
-    summary, (x, v, f) = paths(setup.plant, setup.controller, runs, setup.samples, **setup.sides)
+    summary, (x, v, f) = paths(setup.plant, setup.controller, runs, setup.samples, setup.sides)
     x, v, f = (np.moveaxis(path, 0, -1).reshape(*setup.shape, -1) for path in (x, v, f))
     x = np.where(x < LIMIT, x, np.nan)  # given up
     time = setup.period * np.arange(setup.samples)
@@ -217,7 +218,7 @@ def contact_map(
     """
     setup = setup_of(loop, stiffness, damping, **options)
     runs = Runs(*(column.ravel() for column in setup.runs))
-    summary = contacts(setup.plant, setup.controller, runs, setup.samples, **setup.sides)
+    summary = contacts(setup.plant, setup.controller, runs, setup.samples, setup.sides)
     return setup.answer(summary)
 
 
@@ -290,7 +291,7 @@ def setup_of(
         runs,
         runs.alpha.shape,
         samples,
-        {"one_sided": bool(one_sided), "pulls": bool(pulls)},
+        Sides(bool(one_sided), bool(pulls)),
         period,
         unit,
     )

@@ -289,27 +289,28 @@ Mechanism: TypeAlias = Any
 """The moving device: a ``Plant``, or a ``Handle``, whose methods have the same meaning."""
 
 
+class Sides(NamedTuple):
+    """The sides on which a wall acts: where the position is positive alone, and if it may pull."""
+
+    one_sided: bool
+    pulls: bool
+
+
 def contacts(
-    plant: Mechanism,
-    controller: Controller,
-    runs: Runs,
-    samples: int,
-    *,
-    one_sided: bool,
-    pulls: bool,
+    plant: Mechanism, controller: Controller, runs: Runs, samples: int, sides: Sides
 ) -> Summary:
     """Simulate runs, arrays of one length, and sum them up; many by XLA, on all cores."""
     count = len(runs.alpha)
     if count * samples < _MANY:
         with np.errstate(all="ignore"):
-            return _summary(plant, controller, runs, samples, one_sided, pulls)
+            return _summary(plant, controller, runs, samples, sides)
     arrays = plant._replace(ages=np.array(plant.ages), flows=np.array(plant.flows))
-    sides = {"one_sided": one_sided, "pulls": pulls}
+    fixed = {"oldest": plant.oldest, "sides": sides}
 
     def of_tile(tile: tuple[np.ndarray, np.ndarray]) -> Summary:
         members, padded = tile
         own = Runs(*(column[padded] for column in runs))
-        summary = _of_tile(arrays, controller, own, samples, oldest=plant.oldest, **sides)
+        summary = _of_tile(arrays, controller, own, samples, **fixed)
         return Summary(*(column[: members.size] for column in summary))
 
     tile = TILE if isinstance(plant, Plant) else TILE // 32  # of any device, with its series
@@ -317,50 +318,36 @@ def contacts(
     return Summary(*map(np.concatenate, zip(*tiles, strict=True)))
 
 
-@compiled(static=["oldest", "one_sided", "pulls"], many=0, wide=True)
+@compiled(static=["oldest", "sides"], many=0, wide=True)
 def _of_tile(
-    plant: Mechanism,
-    controller: Controller,
-    runs: Runs,
-    samples: Any,
-    *,
-    oldest: int,
-    one_sided: bool,
-    pulls: bool,
+    plant: Mechanism, controller: Controller, runs: Runs, samples: Any, *, oldest: int, sides: Sides
 ) -> Summary:
-    plant = plant._replace(oldest=oldest)
-    return _summary(plant, controller, runs, samples, one_sided, pulls)
+    return _summary(plant._replace(oldest=oldest), controller, runs, samples, sides)
 
 
 def _summary(
-    plant: Mechanism, controller: Controller, runs: Runs, samples: Any, one_sided: bool, pulls: bool
+    plant: Mechanism, controller: Controller, runs: Runs, samples: Any, sides: Sides
 ) -> Summary:
-    step, start = _motion(plant, controller, runs, samples, one_sided, pulls)
+    step, start = _motion(plant, controller, runs, samples, sides)
     summary: Summary = repeat(samples, lambda state: step(state)[0], start)[-1]
     return summary
 
 
 def paths(
-    plant: Mechanism,
-    controller: Controller,
-    runs: Runs,
-    samples: int,
-    *,
-    one_sided: bool,
-    pulls: bool,
+    plant: Mechanism, controller: Controller, runs: Runs, samples: int, sides: Sides
 ) -> tuple[Summary, Float64[np.ndarray, "3 sample *run"]]:
     """Simulate runs, arrays of one shape or plain numbers; also position, velocity and force.
 
     The force is that computed at the sample.
     """
-    step, start = _motion(plant, controller, runs, samples, one_sided, pulls)
+    step, start = _motion(plant, controller, runs, samples, sides)
     with np.errstate(all="ignore"):
         state, history = repeat_and_keep(samples, step, start)
     return state[-1], np.array(history)
 
 
 def _motion(
-    plant: Mechanism, controller: Controller, runs: Runs, samples: Any, one_sided: bool, pulls: bool
+    plant: Mechanism, controller: Controller, runs: Runs, samples: Any, sides: Sides
 ) -> tuple[Callable[[Any], tuple[Any, tuple[Array, Array, Array]]], Any]:
     """Return the step from sample to sample, and the state at the first one.
 
@@ -368,7 +355,7 @@ def _motion(
     A step also gives position, velocity and force at its beginning.
     """
     xp = functions(runs.alpha)
-    read, force_at = _wall(controller, runs, one_sided=one_sided, pulls=pulls)
+    read, force_at = _wall(controller, runs, sides)
     quarter = samples // 4
     middle, last = samples - 2 * quarter, samples - quarter
 
@@ -418,7 +405,7 @@ def _motion(
 
 
 def _wall(
-    controller: Controller, runs: Runs, *, one_sided: bool, pulls: bool
+    controller: Controller, runs: Runs, sides: Sides
 ) -> tuple[Callable[[Array], Array], Callable[[Array, Any], tuple[Array, Any]]]:
     """The encoder's reading at a position, and the force there with the next memory."""
     xp = functions(runs.alpha)
@@ -433,8 +420,9 @@ def _wall(
         position = read(x)
         filtered, velocity, memory = controller.step(position, memory)
         force = -(runs.alpha * filtered + runs.beta * velocity)
-        if one_sided:
-            force = xp.where(position > 0.0, force if pulls else xp.minimum(force, 0.0), 0.0)
+        if sides.one_sided:
+            pushed = force if sides.pulls else xp.minimum(force, 0.0)
+            force = xp.where(position > 0.0, pushed, 0.0)
         force = xp.where(is_stepped, force_unit * xp.rint(force / force_unit), force)
         return xp.maximum(xp.minimum(force, runs.max_force), -runs.max_force), memory
 
