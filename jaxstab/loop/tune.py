@@ -17,7 +17,7 @@ from jaxstab.motion.settling import checked_level, likely_settling
 from jaxstab.numbers import checked_number, checked_word
 from jaxstab.shown import exact_text, number_text, text_with_bound
 from jaxstab.tuning import TuningStatus
-from jaxstab.tuning.radius import Axis, Values, minimised, smallest_radius
+from jaxstab.tuning.radius import Axis, Values, minimised, smallest_radius, walls_of
 from jaxstab.tuning.settling import TunedLoop, shortest_settling
 
 if TYPE_CHECKING:  # alone: other loops are refused by sentences, not by the types
@@ -118,8 +118,8 @@ def optimal_wall(
     checked_word("goal", goal, ("radius", "settling"))
     level = checked_level(level, excitation)
     alpha = None if stiffness is None else loop.alpha(checked_number("stiffness", stiffness, 0.0))
-    tuned = TunedLoop.from_loop(loop.in_floats())
-    tuned = tuned._replace(walls=tuned.walls._replace(lowest=0.0))
+    plain = loop.in_floats()
+    tuned = TunedLoop(plain, walls_of(plain)._replace(lowest=0.0))
     best = smallest_radius(tuned.walls, alpha)
     wall, status = best.wall, best.status
     if goal == "settling":
@@ -135,7 +135,7 @@ def optimal_wall(
         def likely(alphas: np.ndarray, betas: np.ndarray) -> np.ndarray:
             walls = loop.stiffness(alphas), loop.damping(betas)
             horizon = int(np.clip(slower * fastest, 1 << 10, 1 << 16))
-            return likely_settling(loop.in_floats(), *walls, **options, horizon=horizon)
+            return likely_settling(plain, *walls, **options, horizon=horizon)
 
         def proved(alphas: np.ndarray, betas: np.ndarray) -> np.ndarray:
             return np.asarray(tuned.settling(alphas, betas, **options).value)

@@ -42,11 +42,6 @@ class TunedLoop(NamedTuple):
     loop: LoopParameters
     walls: Walls
 
-    @classmethod
-    def from_loop(cls, loop: LoopParameters) -> "TunedLoop":
-        """The loop to be tuned."""
-        return cls(loop, walls_of(loop))
-
     def settling(self, alpha: Any, beta: Any, **options: Any) -> Settling:
         """The settling of walls in samples, for keywords ``level`` and ``excitation``."""
         wall = self.loop.stiffness(np.asarray(alpha)), self.loop.damping(np.asarray(beta))
@@ -102,7 +97,8 @@ def minimize_settling(
         checked_number("delay", delay, 0.0),
     )
     filters = as_keywords(given_filters(velocity, position))
-    loop = TunedLoop.from_loop(unit_loop(*plant, **filters))
+    unit = unit_loop(*plant, **filters)
+    loop = TunedLoop(unit, walls_of(unit))
     if alpha is not None:
         alpha = checked_number("alpha", checked_gain("alpha", alpha))
     return shortest_settling(loop, smallest_radius(loop.walls, alpha), alpha, level, excitation)
