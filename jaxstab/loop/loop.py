@@ -522,11 +522,6 @@ class HapticLoop(LoopParameters, TwoGains):
         """
         from jaxstab.loop.margins import in_si_units, loop_margins, margins
 
-        if self.body is None and is_any_traced(stiffness, damping):
-            raise TypeError(
-                "margins of a device that is not one mass are searched outside of JAX: give "
-                "concrete gains, outside of jit, vmap and grad."
-            )
         if self.body is None or not (self.shape or is_any_jax(self, stiffness, damping)):
             return loop_margins(self.in_floats(), stiffness, damping)
         plant = self.gamma, self.delta, self.delay_samples  # a delay that is traced may be any
