@@ -19,14 +19,7 @@ from jaxstab.boxes.plant import Arms, with_parts
 from jaxstab.boxes.search import paved
 from jaxstab.conventions import Range, Verdict
 from jaxstab.exact import wall_verdict
-from jaxstab.guard.grid import (
-    CELL_AXES,
-    Grid,
-    boundary_of,
-    cell_corners,
-    grid_boxes,
-    interpolated,
-)
+from jaxstab.guard.grid import CELL_AXES, Grid, boundary_of, cell_corners, grid_boxes, interpolated
 from jaxstab.guard.guard import Guard
 from jaxstab.model import LoopParameters
 from jaxstab.model.balls import ball_triple

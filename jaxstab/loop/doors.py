@@ -10,13 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from jaxstab.loop.affine import Loop
 from jaxstab.loop.gains import Gain
-from jaxstab.model.affine import (
-    RULES,
-    AdmittanceParts,
-    CouplingParts,
-    PidParts,
-    SimulatedParts,
-)
+from jaxstab.model.affine import RULES, AdmittanceParts, CouplingParts, PidParts, SimulatedParts
 from jaxstab.model.device import Device
 from jaxstab.model.device.device import in_steps
 from jaxstab.model.filters import Filter, Velocity, filter_on

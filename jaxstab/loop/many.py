@@ -28,13 +28,7 @@ from jaxstab.model import LoopParameters, require_x64
 from jaxstab.model.affine import AdmittanceParts, affine_triple
 from jaxstab.model.balls import ball_triple
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import (
-    NO_FILTERS,
-    Filters,
-    behind_measured,
-    exact_chain,
-    given_filters,
-)
+from jaxstab.model.filters import NO_FILTERS, Filters, behind_measured, exact_chain, given_filters
 from jaxstab.model.linear_loop import LinearLoop, Polynomial, filter_factors, filtered_loop
 from jaxstab.model.loop import array_fields, as_one
 from jaxstab.region import RegionStatus

@@ -26,21 +26,8 @@ from jaxtyping import Bool, Float64, Int8, Int64
 from jaxstab.arrays import Array, Numbers, constant, float_arrays, namespace, take
 from jaxstab.batches import on_host
 from jaxstab.conventions import Status, Verdict
-from jaxstab.model import (
-    checked_delay,
-    checked_delta,
-    checked_gain,
-    checked_gamma,
-    require_x64,
-)
-from jaxstab.model.filters import (
-    NO_FILTERS,
-    Filter,
-    Filters,
-    Velocity,
-    as_keywords,
-    known_filters,
-)
+from jaxstab.model import checked_delay, checked_delta, checked_gain, checked_gamma, require_x64
+from jaxstab.model.filters import NO_FILTERS, Filter, Filters, Velocity, as_keywords, known_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.loop import LoopParameters, unit_loop
 from jaxstab.numbers import checked_number
