@@ -38,28 +38,29 @@ class ScaledLoop(NamedTuple):
     units: tuple[float, float]
     radius: float = 1.0
 
+    @remembered(64)
     def balls(self) -> BallLoop:
         """The parts of the loop in balls of the precision that is set."""
-        return _scaled(self)
+        if isinstance(self.loop, LoopParameters):
+            own = ball_loop(self.loop)
+        else:
+            own = BallLoop.from_triple(affine_triple(self.loop))
+        return own.scaled(self.units, self.radius)
 
     def triple(self) -> Triple:
         """The parts of p(z), likewise."""
-        return _scaled(self).triple
+        return self.balls().triple
 
+    @remembered(64)
+    def polynomials(self) -> list[arb_poly]:
+        """These parts multiplied out."""
+        return [part.polynomial() for part in self.triple()]
 
-@remembered(64)
-def _scaled(question: ScaledLoop) -> BallLoop:
-    loop = question.loop
-    if isinstance(loop, LoopParameters):
-        own = ball_loop(loop)
-    else:
-        own = BallLoop.from_triple(affine_triple(loop))
-    return own.scaled(question.units, question.radius)
-
-
-@remembered(64)
-def _polynomials(question: ScaledLoop) -> list[arb_poly]:
-    return [part.polynomial() for part in question.triple()]
+    def at_angle(self, angle: "arb") -> "tuple[acb, list[acb], acb]":
+        """The root e^(i angle), the parts of p(z) there, and the conjugate of one of the gains'."""
+        z = acb(0, angle).exp()
+        parts = [part(z) for part in self.polynomials()]
+        return z, parts, (parts[2] if parts[1].contains(0) else parts[1]).conjugate()
 
 
 _LAST_BITS = 768  # a plant that is real to that precision is real
@@ -93,8 +94,8 @@ def curve_parts(loop: ScaledLoop) -> CurveParts:
     with _enough_bits(loop):
         own, degree = loop.balls(), loop.triple().degree
         parts, factors = loop.triple(), _factors(loop)
-        unit = 1 / _polynomials(loop)[0][degree]
-        triple = [_floats((part * unit).coeffs(), degree) for part in _polynomials(loop)]
+        unit = 1 / loop.polynomials()[0][degree]
+        triple = [_floats((part * unit).coeffs(), degree) for part in loop.polynomials()]
         length = max(part.degree for part in factors)
         whole = [_floats(part.polynomial().coeffs(), length) for part in factors]
         shifted = [
@@ -291,9 +292,7 @@ def _at_end(loop: ScaledLoop, place: int) -> _Kept:
 def _at_pole(loop: ScaledLoop, pole: float) -> _Kept:
     known = _pole_at(loop, pole)
     angle = arb(pole) if known is None else known
-    z = acb(0, angle).exp()
-    base, stiffness, damping = (part(z) for part in _polynomials(loop))
-    unit = (damping if stiffness.contains(0) else stiffness).conjugate()
+    z, (base, stiffness, damping), unit = loop.at_angle(angle)
     s = arb(0) if stiffness.contains(0) else (stiffness * unit).real
     divisor = Factored(arb_poly([1, -2 * angle.cos(), 1]))
     return _Kept((base * unit).real, s, (damping * unit).real, divisor, z, (z * unit).conjugate())
@@ -368,9 +367,7 @@ def _is_real(loop: ScaledLoop, angle: float) -> bool:
     if pole is None:
         return False
     with working_precision(_LAST_BITS):
-        z = acb(0, pole).exp()
-        base, stiffness, damping = (part(z) for part in _polynomials(loop))
-        unit = (damping if stiffness.contains(0) else stiffness).conjugate()
+        _, (base, *_), unit = loop.at_angle(pole)
         return bool(not unit.contains(0) and (base * unit).imag.contains(0))
 
 
@@ -388,7 +385,7 @@ def others_inside(loop: ScaledLoop, angles: Angles, low: Angles) -> Bool[np.ndar
 
 
 def _is_inside(loop: ScaledLoop, angle: float, low: float) -> tuple[bool, int] | None:
-    base, stiffness, damping = _polynomials(loop)
+    base, stiffness, damping = loop.polynomials()
     theta = arb(angle) + arb(low)
     z = acb(0, theta).exp()
     p, s, r = (part(z) for part in (base, stiffness, damping))
