@@ -31,7 +31,7 @@ from flint import acb, arb, arb_mat, arb_poly
 from jaxtyping import Complex128, Float64
 
 from jaxstab.exact.roots import isolated_roots, real_or_not
-from jaxstab.exact.verdict import TripleAt, roots_outside
+from jaxstab.exact.verdict import TripleAt, are_inside
 from jaxstab.model.balls import BallLoop, Factored, ball_loop
 from jaxstab.model.device.device import in_steps
 from jaxstab.model.device.discrete import held_steps
@@ -221,20 +221,13 @@ class _Wall(NamedTuple):
 
     @classmethod
     def from_loop(cls, loop: LoopParameters, stiffness: float, damping: float) -> "_Wall":
-        parts = _parts(loop)
+        parts = _Parts.from_loop(loop)
         p = parts.loop.triple.at(stiffness, damping)
         # An actuator's pole that is a zero of the device is no root of p, but of its states.
         if parts.hidden.degree:
             p = p.times(parts.hidden)
         p = p._replace(power=p.power + parts.degree - p.degree)
         return cls(p, p.polynomial(), parts.loop.wall(stiffness, damping).polynomial(), parts)
-
-    def is_stable(self) -> bool | None:
-        """True if all roots of p are inside the circle (E1); None where balls do not tell."""
-        if self.p.is_on_circle:
-            return False
-        outside = roots_outside(self.p.rest, most=0)
-        return None if outside is None else not outside
 
     def disturbed(self, causes: Causes) -> Quotients:
         """Numerators of states, acting and arriving force, for each cause of size 1.
@@ -256,8 +249,13 @@ class _Wall(NamedTuple):
         return found
 
     def begun(self, *, is_impact: bool) -> Quotients:
-        """The deviation of the position: of its final value, or after a blow."""
+        """The deviation of the position: of its final value, or after a blow.
+
+        Of two gains without a plant, the motion after an impulse.
+        """
         parts, z = self.parts, _z()
+        if parts is None:
+            return [(arb_poly([1]), [z ** self.whole.degree()])]
         if is_impact:
             return [(z, [parts.struck])]
         final = parts.pushed(1) / self.whole(1)
@@ -361,6 +359,7 @@ class _Parts(NamedTuple):
     pushed: "arb_poly"
 
     @classmethod
+    @remembered(128)
     def from_loop(cls, loop: LoopParameters) -> "_Parts":
         transition, newer, older, push, blow = _moves(loop)
         size = transition.nrows()
@@ -413,11 +412,6 @@ def _moves(loop: LoopParameters) -> "tuple[arb_mat, list[arb], list[arb], list[a
     return arb_mat([row[:size] for row in whole[:size]]), newer, older, push, blow
 
 
-@remembered(128)
-def _parts(loop: LoopParameters) -> _Parts:
-    return _Parts.from_loop(loop)
-
-
 def _above(ball: "acb") -> float:
     return float(ball.abs_upper()) * _UP
 
@@ -459,12 +453,9 @@ def settled_after(
     horizon: int,
 ) -> float:
     """The sample from which on a wall stays settled: infinite if unstable, NaN if not proved."""
-    wall_at, is_impact = partial(_wall_at, loop, stiffness, damping), excitation == "impact"
-
-    def begun(wall: _Wall) -> Quotients:
-        return wall.begun(is_impact=is_impact)
-
-    return _settled_after(wall_at, (stiffness, damping), begun, level, horizon, is_impact=is_impact)
+    gains, is_impact = (stiffness, damping), excitation == "impact"
+    wall_at = partial(_wall_at, loop, *gains)
+    return _settled_after(wall_at, gains, level, horizon, is_impact=is_impact)
 
 
 def motion_settled_after(
@@ -476,28 +467,23 @@ def motion_settled_after(
         p = triple().at(first, second)
         return _Wall(p, p.polynomial())
 
-    def begun(wall: _Wall) -> Quotients:
-        one = arb_poly([1])
-        return [(one, [one.left_shift(wall.whole.degree())])]
-
-    return _settled_after(wall_at, (first, second), begun, level, horizon, is_impact=True)
+    return _settled_after(wall_at, (first, second), level, horizon, is_impact=True)
 
 
 def _settled_after(
     wall_at: "Callable[[], _Wall]",
     gains: tuple[float, float],
-    begun: "Callable[[_Wall], Quotients]",
     level: float,
     horizon: int,
     *,
     is_impact: bool,
 ) -> float:
     def by_modes(wall: _Wall) -> float | None:
-        found = wall.responses(begun(wall))
+        found = wall.responses(wall.begun(is_impact=is_impact))
         return found and found.settled(level, horizon, is_impact=is_impact)
 
     def by_powers(wall: _Wall) -> float | None:
-        terms, numerators = 64, begun(wall)
+        terms, numerators = 64, wall.begun(is_impact=is_impact)
         while terms < _MOST_POWERS and (found := wall.by_powers(numerators, terms)) is not None:
             if (settled := found.settled(level, horizon, is_impact=is_impact)) is not None:
                 return settled
@@ -528,7 +514,7 @@ def _of_wall(
 
     def question(way: "Callable[[_Wall], Answer | None]") -> tuple[Answer | None] | None:
         wall = wall_at()
-        is_stable = wall.is_stable()
+        is_stable = are_inside(wall.p)
         answer = way(wall) if is_stable else nothing
         return None if is_stable is None or (is_stable and answer is None) else (answer,)
 

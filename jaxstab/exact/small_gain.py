@@ -27,7 +27,7 @@ from flint import arb, arb_poly
 
 from jaxstab.conventions import Status
 from jaxstab.exact.circle import is_positive
-from jaxstab.exact.verdict import roots_outside
+from jaxstab.exact.verdict import are_inside
 from jaxstab.model.balls import BallLoop, Factored
 from jaxstab.model.device.parts import decided
 
@@ -56,13 +56,9 @@ def small_gain(
         parts = loop()
         wall = parts.wall(stiffness, damping)
         p = parts.triple.at(stiffness, damping)
-        if p.is_on_circle:
-            return SmallGainStatus.UNSTABLE
-        outside = roots_outside(p.rest, most=0)
-        if outside is None:
-            return None
-        if outside:
-            return SmallGainStatus.UNSTABLE
+        is_stable = are_inside(p)
+        if not is_stable:
+            return None if is_stable is None else SmallGainStatus.UNSTABLE
         if wall.is_zero:
             return SmallGainStatus.PROVED
         steps = Factored(arb_poly([1]), at_one=1).times(wall)

@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from jaxstab.conventions import Status, Verdict
 from jaxstab.model.affine import AffineParts, affine_triple
-from jaxstab.model.balls import Triple
+from jaxstab.model.balls import Factored, Triple
 from jaxstab.model.device.parts import decided, flint
 from jaxstab.model.filters import has_roots_inside, reflections
 
@@ -104,6 +104,14 @@ def affine_verdict(parts: AffineParts, first: float, second: float) -> Verdict:
 def rational_verdict(p: "fmpq_poly") -> Verdict:
     """The verdict on a polynomial of exact numbers: always decided."""
     return Verdict.STABLE if has_roots_inside(p.coeffs()[::-1]) else Verdict.UNSTABLE
+
+
+def are_inside(p: Factored) -> bool | None:
+    """True if all roots of p are inside the circle; None where the balls do not tell."""
+    if p.is_on_circle:
+        return False
+    outside = roots_outside(p.rest, most=0)
+    return None if outside is None else not outside
 
 
 def roots_outside(p: "arb_poly", most: int | None = None) -> int | None:
