@@ -15,7 +15,8 @@ from campaign import many
 
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop
 from jaxstab.model import DoubleDouble, Filter
-from jaxstab.model.linear_loop import LinearLoop, filter_factors, filtered_loop, size_of
+from jaxstab.model.double_double import size_sum
+from jaxstab.model.linear_loop import LinearLoop, filter_factors, filtered_loop
 
 MORE = pytest.param(many(1000, 60), marks=pytest.mark.campaign)
 
@@ -49,7 +50,7 @@ def test_loops_of_masses_are_within_their_bounds(count: int) -> None:
         with flint.ctx.workprec(1400):
             assert_within_bounds(loop, drawn.balls[:3], 1e-100)
         assert bool(loop.is_free) == (gamma == 0.0)
-        sharp.append(float(loop.errors[0]) / size_of(loop.base))
+        sharp.append(float(loop.errors[0]) / size_sum(loop.base))
     assert np.median(sharp) < 1e-25
 
 
@@ -63,7 +64,7 @@ def test_loops_of_devices_are_within_their_bounds(count: int) -> None:
         with flint.ctx.workprec(400):  # its truth has some 60 digits
             assert_within_bounds(loop, drawn.balls[:3], 1e-50)
         for part, error in zip(loop[:3], loop.errors, strict=True):
-            assert error <= 2.0**-99 * size_of(part)
+            assert error <= 2.0**-99 * size_sum(part)
 
 
 def exact(number: Fraction | int) -> flint.fmpq:

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from jaxstab.model.device.device import Device, in_steps
 from jaxstab.model.device.parts import decided, exact, flint, remembered
 from jaxstab.model.device.sampling import one_sample
-from jaxstab.model.double_double import DoubleDouble
+from jaxstab.model.double_double import DoubleDouble, size_sum
 from jaxstab.model.filters import (
     NO_FILTERS,
     Filter,
@@ -39,7 +39,7 @@ from jaxstab.model.filters import (
     exact_chain,
     given_filters,
 )
-from jaxstab.model.linear_loop import LinearLoop, Polynomial, size_of
+from jaxstab.model.linear_loop import LinearLoop, Polynomial
 from jaxstab.model.parameters import GAIN_LIMIT
 from jaxstab.rounding import PAIR_UNIT, RAISED
 
@@ -444,14 +444,11 @@ def rounded_triple(
 ) -> LinearLoop:
     """The loop of a triple in pairs, of gains in units: alpha is K stiffness_unit."""
 
-    def asked() -> LinearLoop:
-        return _rounded(triple(), stiffness_unit, damping_unit)
-
     def is_known(loop: LinearLoop) -> bool:
-        sizes = map(size_of, loop[:3])
+        sizes = map(size_sum, loop[:3])
         return all(error <= PAIR_UNIT * x for error, x in zip(loop.errors, sizes, strict=True))
 
-    return decided(asked, is_answered=is_known)
+    return decided(lambda: _rounded(triple(), stiffness_unit, damping_unit), is_answered=is_known)
 
 
 def _rounded(triple: Triple, stiffness_unit: float, damping_unit: float) -> LinearLoop:

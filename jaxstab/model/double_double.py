@@ -14,7 +14,7 @@ JAX is given the derivatives of the whole operations, in float64: those of each 
 and take four times as long to compile.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
@@ -136,13 +136,24 @@ _SLOPES: dict[Operation, Callable[..., Array]] = {  # of result, numbers and how
 def _of_namespace(operation: Operation, pair: DoubleDouble, other: Factor) -> DoubleDouble:
     if isinstance(other, int | Fraction):
         other = DoubleDouble.from_value(other)
-    if not is_jax(pair.hi) and not is_jax(_high(other)):
+    if not is_jax(pair.hi) and not is_jax(leading(other)):
         return operation(pair, other)
     return _differentiable(operation)(*tree_map(namespace(pair, other).asarray, (pair, other)))
 
 
-def _high(value: Factor) -> Array | float:
+def leading(value: Factor) -> Array:
+    """Return the number rounded to float64, its sign being exact."""
     return value.hi if isinstance(value, DoubleDouble) else value
+
+
+def size(value: Factor) -> Array:
+    """Return the absolute value, to float64 accuracy."""
+    return abs(leading(value))
+
+
+def size_sum(numbers: Iterable[Factor]) -> Array:
+    """Return the sum of the absolute values."""
+    return sum(map(size, numbers), 0.0)
 
 
 @cache
@@ -154,7 +165,7 @@ def _differentiable(operation: Operation) -> Operation:
     def moved(numbers: tuple[Any, ...], moves: tuple[Any, ...]) -> tuple[DoubleDouble, ...]:
         result = with_slopes(*numbers)
         steps = [move.rounded() if isinstance(move, DoubleDouble) else move for move in moves]
-        step = _SLOPES[operation](result.hi, *map(_high, numbers), *steps)
+        step = _SLOPES[operation](result.hi, *map(leading, numbers), *steps)
         step = namespace(result).broadcast_to(step, result.hi.shape)
         return result, DoubleDouble.from_value(step)
 

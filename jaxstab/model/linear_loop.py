@@ -20,7 +20,7 @@ from jaxtyping import Float64
 from jaxstab.arrays import Array, Numbers, float_arrays, is_any_jax, namespace
 from jaxstab.batches import MANY, compiled
 from jaxstab.model.device.parts import exact
-from jaxstab.model.double_double import DoubleDouble
+from jaxstab.model.double_double import DoubleDouble, size_sum
 from jaxstab.model.filters import (
     NO_FILTERS,
     Filter,
@@ -85,7 +85,7 @@ def filtered_loop(
     xp = namespace(pairs)
     denominator: Polynomial = (_ONE, pairs.d1, pairs.d0)
     numerator: Polynomial = (pairs.n2, pairs.n1, pairs.n0)
-    relative, size = pairs_error(gamma, delta), size_of(numerator)
+    relative, size = pairs_error(gamma, delta), size_sum(numerator)
     rounding = relative * xp.where(may_cancel(gamma, delta), xp.sqrt(size), size)
     if isinstance(fraction, float) and fraction == 0.0:
         numerator = numerator[:2]
@@ -101,10 +101,10 @@ def filtered_loop(
     turned = (-pairs.d1 + _ONE + pairs.d0, *[pairs.difference.scaled(late)] * 2)
     ends = (pairs.den_at_one, pairs.sum, pairs.sum), turned
     sizes = [
-        size_of(part) + error for part, error in zip(factors.parts, factors.errors, strict=True)
+        size_sum(part) + error for part, error in zip(factors.parts, factors.errors, strict=True)
     ]
     bounds = [
-        error * size + size_of(plant) * (inherited + 2.0 * PAIR_PRODUCT * size)
+        error * size + size_sum(plant) * (inherited + 2.0 * PAIR_PRODUCT * size)
         for plant, error, size, inherited in zip(plants, errors, sizes, factors.errors, strict=True)
     ]
     at_one, at_minus_one = (
@@ -169,7 +169,7 @@ def _exact_factors(velocity: tuple[Section, ...], position: tuple[Section, ...])
     above_v -= above_v.left_shift(1)
     exact_parts = below_p * below_v, above_p * below_v, above_v * below_p
     base, stiffness, damping = (tuple(map(_nearest, part.coeffs())) for part in exact_parts)
-    errors = [4.0 * FILTERS * size_of(part) for part in (base, stiffness, damping)]
+    errors = [4.0 * FILTERS * size_sum(part) for part in (base, stiffness, damping)]
     return FilterFactors((base, stiffness, damping), (errors[0], errors[1], errors[2]))
 
 
@@ -189,7 +189,7 @@ def _in_pairs(sections: tuple[Section, ...]) -> tuple[Polynomial, Polynomial, tu
             for side, row in enumerate(stage):
                 factor = tuple(map(DoubleDouble.from_value, row))
                 sides[side] = product(sides[side], factor)
-                sizes[side] = sizes[side] * size_of(factor)
+                sizes[side] = sizes[side] * size_sum(factor)
     return sides[0], sides[1], (sizes[0], sizes[1])
 
 
@@ -206,11 +206,6 @@ def product(a: Polynomial, b: Polynomial) -> Polynomial:
 
 def _is_zero(value: DoubleDouble) -> bool:
     return type(value.hi) is float and value.hi == 0.0
-
-
-def size_of(polynomial: Polynomial) -> Array:
-    """Return the sum of the moduli of the coefficients."""
-    return sum((abs(coefficient.hi) for coefficient in polynomial), 0.0)
 
 
 # The same with its coefficients summed and rounded: p(z) as arrays, and its companion matrix.

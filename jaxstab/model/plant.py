@@ -120,14 +120,6 @@ def _remembered(shape: tuple[int, ...], *values: bytes) -> PlantCoefficients:
     return tree_map(lambda number: np.full(shape, number), pairs)
 
 
-def falls_of(plant: PlantCoefficients) -> tuple[Array, ...]:
-    """The coefficients of (1 - z) N(z), highest power first.
-
-    n2 - n1 vanishes with delta for a whole delay; N(-1) knows it to all of its digits.
-    """
-    return -plant.n2, plant.difference - plant.n0, plant.n1 - plant.n0, plant.n0
-
-
 def pairs_error(gamma: Numbers, delta: Numbers) -> Array:
     """A bound of the error of plant_pairs, in D and relative to the size of N (lemma V7)."""
     xp = namespace(gamma, delta)

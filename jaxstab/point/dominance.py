@@ -32,13 +32,13 @@ from jaxstab.arrays import (
 )
 from jaxstab.batches import compiled, filled_up, in_pieces, is_on_cpu, lists, over_tiles
 from jaxstab.model import polynomial_degree
+from jaxstab.model.double_double import size_sum
 from jaxstab.point.poles import Complex, looked_up
 from jaxstab.point.schur_cohn import (
     HIGHEST_COUNTED,
     UNDERFLOW,
     Chain,
     Ends,
-    size_sum,
     zeros_outside,
 )
 from jaxstab.point.verdicts import Plant, float_plant, tail_error

@@ -51,6 +51,7 @@ from jaxstab.model import (
     polynomial_degree,
     require_x64,
 )
+from jaxstab.model.double_double import leading, size
 from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, given_filters
 from jaxstab.model.linear_loop import LinearLoop, loop_polynomial
 from jaxstab.numbers import checked_word
@@ -68,10 +69,8 @@ from jaxstab.point.schur_cohn import (
     Ends,
     Number,
     kept_places,
-    leading,
     loop_coefficients,
     polynomial_codes,
-    size,
 )
 from jaxstab.point.verdicts import Points, Values, filtered_loops, is_plant_lost
 from jaxstab.rounding import PAIR_UNIT, SAFETY, UNIT

@@ -41,6 +41,7 @@ from jaxstab.arrays import (
 )
 from jaxstab.conventions import Verdict
 from jaxstab.model import DoubleDouble
+from jaxstab.model.double_double import leading, size, size_sum
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.rounding import SAFETY
 
@@ -237,21 +238,6 @@ def _minus(a: Number | None, ratio: Number, b: Number | None) -> Number:
     if b is None:
         return cast(Number, a)
     return -(ratio * b) if a is None else a - ratio * b
-
-
-def leading(value: Array | DoubleDouble) -> Array:
-    """Return the number rounded to float64, its sign being exact."""
-    return value.hi if isinstance(value, DoubleDouble) else value
-
-
-def size(value: Array | DoubleDouble) -> Array:
-    """Return the absolute value, to float64 accuracy."""
-    return abs(leading(value))
-
-
-def size_sum(numbers: tuple[Number, ...]) -> Array:
-    """Return the l1 norm."""
-    return sum(map(size, numbers), 0.0)
 
 
 # Verdicts of polynomials without a special form: loops with estimators and filters.

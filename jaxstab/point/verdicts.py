@@ -38,11 +38,12 @@ from jaxstab.model import (
     require_x64,
 )
 from jaxstab.model.balls import ball_triple
+from jaxstab.model.double_double import size_sum
 from jaxstab.model.filters import NO_FILTERS, Filter, Filters, Velocity, as_keywords, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.loop import unit_loop
 from jaxstab.model.parameters import whole_and_fraction
-from jaxstab.model.plant import falls_of, may_cancel, pairs_error
+from jaxstab.model.plant import may_cancel, pairs_error
 from jaxstab.point.poles import looked_up
 from jaxstab.point.schur_cohn import (
     UNDERFLOW,
@@ -51,7 +52,6 @@ from jaxstab.point.schur_cohn import (
     decide,
     dense_codes,
     rounded_loop,
-    size_sum,
     without_zeros,
 )
 from jaxstab.rounding import PAIR_UNIT, UNIT
@@ -209,7 +209,8 @@ def _plant_of(
     unit = DoubleDouble.from_value(xp.ones_like(pairs.d0.hi))
     zero = unit - unit
     stiff = (zero, pairs.n0, pairs.n1, pairs.n2)
-    damp = falls_of(pairs)[::-1]
+    # (1 - z) N(z): n2 - n1 vanishes with delta for a whole delay, and N(-1) has all of its digits.
+    damp = (pairs.n0, pairs.n1 - pairs.n0, pairs.difference - pairs.n0, -pairs.n2)
     sum_n = sum(abs(n.hi) for n in stiff[1:])
     return Plant(
         gap=unit - pairs.d0,
