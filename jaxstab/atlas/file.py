@@ -444,10 +444,11 @@ def read_limits(path: Path) -> Contents:
     """Read everything but the fields, checked; errors as ``opened``."""
     with opened(path) as file:
         arrays = read_all(file, LIMITS)
-        lines = arrays.pop("spec")
+        lines = arrays["spec"].tolist()
         return Contents(
-            arrays={name: arrays[name] for name in arrays if not _is_number(name)},
-            spec="\n".join(line.decode("utf-8").rstrip() for line in lines.tolist()) + "\n",
+            # Without the numbers along axes, and the text.
+            arrays={v.name: arrays[v.name] for v in LIMITS if v.dtype not in ("int32", "S")},
+            spec="\n".join(line.decode("utf-8").rstrip() for line in lines) + "\n",
             created_by=text_of(file, "created_by"),
             filters=text_of(file, "filters"),
             tested={name: int(file.attrs[name]) for name in TESTED},
@@ -459,10 +460,6 @@ def read_fields(path: Path) -> dict[str, Array]:
     """Read the fields with their axes, checked; errors as ``opened``."""
     with opened(path) as file:
         return read_all(file[FIELDS], FIELD_VARIABLES)
-
-
-def _is_number(name: str) -> bool:
-    return name.endswith(("_cell", "_line", "_node")) or name == "end"
 
 
 def read_all(group: h5py.Group, variables: Sequence[Variable]) -> dict[str, Array]:

@@ -240,20 +240,17 @@ def joined(spec: "AtlasSpec", parts: Sequence[Mapping[str, NDArray[np.generic]]]
     return LimitTable(row=np.linspace(0.0, 1.0, spec.rows), **whole)
 
 
-def _with_middles(nodes: Array) -> Array:
-    """Nodes with the middle between each two."""
-    fine = np.empty(2 * nodes.size - 1)
-    fine[::2], fine[1::2] = nodes, 0.5 * (nodes[1:] + nodes[:-1])
+def _with_middles(values: Array) -> Array:
+    """Values with the middle between each two, along the first axis."""
+    fine = np.empty((2 * len(values) - 1, *values.shape[1:]))
+    fine[::2], fine[1::2] = values, 0.5 * (values[1:] + values[:-1])
     return fine
 
 
 def _interpolated(values: Array, axes: int = 3) -> Array:
     """Values at nodes with those at middles, multilinear, along the first axes."""
     for axis in range(axes):
-        moved = np.moveaxis(values, axis, 0)
-        fine = np.empty((2 * moved.shape[0] - 1, *moved.shape[1:]))
-        fine[::2], fine[1::2] = moved, 0.5 * (moved[1:] + moved[:-1])
-        values = np.moveaxis(fine, 0, axis)
+        values = np.moveaxis(_with_middles(np.moveaxis(values, axis, 0)), 0, axis)
     return values
 
 

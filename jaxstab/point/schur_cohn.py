@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import zip_longest
 from operator import add
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -194,8 +194,8 @@ def _step(chain: Chain, unit: float, *, is_monic: bool = False, is_rolled: bool 
     bounds = _bounds_after(chain, lead, modulus, unit)
     return Chain(
         gap=chain.gap - ratio * lowered,
-        head=tuple(_minus(u, ratio, v) for u, v in pairs),
-        tail=tuple(_minus(v, ratio, u) for u, v in pairs),
+        head=tuple(minus(u, ratio, v) for u, v in pairs),
+        tail=tuple(minus(v, ratio, u) for u, v in pairs),
         inside=chain.inside & (modulus < 1.0),
         regular=chain.regular & (modulus != 1.0),
         outside=outside,
@@ -233,10 +233,10 @@ def _bounds_after(chain: Chain, lead: Array, modulus: Array, unit: float) -> dic
     }
 
 
-def _minus(a: Number | None, ratio: Number, b: Number | None) -> Number:
+def minus(a: Number | None, ratio: Number, b: Number | None) -> Any:
     """Return a - ratio b, where None is zero."""
     if b is None:
-        return cast(Number, a)
+        return a
     return -(ratio * b) if a is None else a - ratio * b
 
 
@@ -441,8 +441,8 @@ def _dense_step(state: _State, unit: float, *, is_apart: bool = False) -> _State
 def _lowered(falling: Any, rising: Any, ratio: Number, *, is_apart: bool) -> tuple[Any, Any]:
     if not isinstance(falling, tuple):
         return falling - rising * ratio, tree_map(_shifted, rising - falling * ratio)
-    lowered = tuple(_minus(a, ratio, b) for a, b in zip_longest(falling, rising))
-    turned = tuple(_minus(a, ratio, b) for a, b in zip_longest(rising, falling))
+    lowered = tuple(minus(a, ratio, b) for a, b in zip_longest(falling, rising))
+    turned = tuple(minus(a, ratio, b) for a, b in zip_longest(rising, falling))
     return lowered if is_apart else lowered[:-1], turned[1:]
 
 

@@ -15,6 +15,7 @@ from jaxtyping import Complex128, Float64
 
 from jaxstab.arrays import power_of_two_below_inverse, reciprocal, square_root
 from jaxstab.point.poles import companion_poles
+from jaxstab.point.schur_cohn import minus
 
 # A first guess of the dominant root of polynomials: powers of the companion matrix.
 #
@@ -95,7 +96,7 @@ def _samples(remainder: list[Column], coefficients: list[Column]) -> list[Array]
         sample = remainder[degree - 1 - turn] if turn < degree else None
         for before, value in enumerate(samples):
             index = degree - turn + before
-            sample = _minus(sample, value, coefficients[index]) if index >= 0 else sample
+            sample = minus(sample, value, coefficients[index]) if index >= 0 else sample
         assert sample is not None
         samples.append(sample)
     return samples
@@ -116,9 +117,7 @@ def _squared(remainder: list[Column], coefficients: list[Column]) -> list[Column
     for power in range(2 * degree - 2, degree - 1, -1):
         top = square[power]
         for index, coefficient in enumerate(coefficients, start=power - degree):
-            square[index] = (
-                square[index] if top is None else _minus(square[index], top, coefficient)
-            )
+            square[index] = square[index] if top is None else minus(square[index], top, coefficient)
     return square[:degree]
 
 
@@ -151,12 +150,6 @@ def _plus_product(a: Column, b: Column, c: Column) -> Column:
     if b is None or c is None:
         return a
     return b * c if a is None else a + b * c
-
-
-def _minus(a: Column, b: Array, c: Column) -> Column:
-    if c is None:
-        return a
-    return -(b * c) if a is None else a - b * c
 
 
 # The largest modulus of a root with a derivative, for JAX's transformations alone.
