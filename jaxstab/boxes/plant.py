@@ -205,7 +205,7 @@ class HeldDevice(NamedTuple):
         if not clear > 0.0:
             return inf
         most = 1.0 / clear  # of the handle that is held
-        if not self._is_one_point:
+        if self.shapes is not None or (self.own is not None and self.own.excess is not None):
             # G_em - G_eh G_hm Z/(1 + Z G_hh), and that quotient is (1 - held/free)/free.
             seen = self._largest(mass[0], beyond, "encoder", "encoder", "motor")
             moved = self._largest(mass[0], beyond, "handle", "handle", "motor")
@@ -232,10 +232,6 @@ class HeldDevice(NamedTuple):
             light += shapes.handle**2 / moved
             off += shapes.handle**2 * (damper + spring) / (abs(moved) * (1.0 - damper - spring))
         return light, off
-
-    @property
-    def _is_one_point(self) -> bool:
-        return self.shapes is None and (self.own is None or self.own.excess is None)
 
     def _largest(self, mass: float, beyond: float, name: str, to: str, by: str) -> float:
         """A bound of w^2 |numerator/d| for w >= beyond, of the device alone."""

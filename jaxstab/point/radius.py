@@ -298,7 +298,9 @@ def spectral_radius(
     require_x64(*arguments)
     filters = given_filters(velocity, position)
     if is_any_traced(arguments, filters):
-        return _traced_radius(*arguments, filters=filters)
+        coefficients = characteristic_polynomial(**by_name(*arguments), **as_keywords(filters))
+        both = _traced_radius(coefficients, is_summed=filters is not None)
+        return _believed(*both, gamma, delta)
     checked_arguments = (
         checked_gain("alpha", alpha),
         checked_gain("beta", beta),
@@ -323,7 +325,7 @@ def spectral_radius(
 def linear_spectral_radius(alpha: Array, beta: Array, loop: LinearLoop) -> SpectralRadius:
     """Spectral radii of walls of one loop, of any device and filters; both may be traced."""
     if is_any_traced(alpha, beta, loop):
-        both = _traced_radius_of(loop_polynomial(alpha, beta, loop), is_summed=True)
+        both = _traced_radius(loop_polynomial(alpha, beta, loop), is_summed=True)
     else:
         xp = namespace(alpha, beta, loop)
         walls = tree_map(np.asarray, (alpha, beta, loop))
@@ -409,13 +411,7 @@ def _polished(parameters: list[Values], delay: Values | float) -> tuple[Values, 
         return with_distance(t, loop, degree)
 
 
-def _traced_radius(*arguments: Numbers, filters: Filters | None) -> SpectralRadius:
-    coefficients = characteristic_polynomial(**by_name(*arguments), **as_keywords(filters))
-    both = _traced_radius_of(coefficients, is_summed=filters is not None)
-    return _believed(*both, *arguments[2:4])
-
-
-def _traced_radius_of(coefficients: Array, *, is_summed: bool) -> tuple[Array, Array]:
+def _traced_radius(coefficients: Array, *, is_summed: bool) -> tuple[Array, Array]:
     from jaxstab.point.traced_radius import largest_modulus
 
     value = largest_modulus(coefficients)

@@ -15,7 +15,7 @@ All is computed by NumPy. Gains of JAX are answered on the host, with slopes: li
 boundary, distances along the way to it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -127,6 +127,11 @@ def contains(
 
     is_inside: Array = _columns(are_inside, outline, 0, alpha, beta)
     return is_inside
+
+
+def holds(c: Curve, outline: Outline, wall: Iterable[float]) -> bool:
+    """True for a wall inside; see ``contains``."""
+    return bool(contains(c, outline, *(np.array([gain]) for gain in wall))[0])
 
 
 def _is_inside(c: Curve, outline: Outline, alpha: Array, beta: Array) -> tuple[Array, Array]:

@@ -247,7 +247,7 @@ def proved_extremes(region: StableRegion) -> tuple[Point, Point]:
     """
     c, outline = region.curve, region.outline
     small, rounding = 1e-6, 1e-12  # of what a set spans: where the row through the origin is asked
-    holds_none = bool(measures.contains(c, outline, np.zeros(1), np.zeros(1))[0])
+    holds_none = measures.holds(c, outline, (0.0, 0.0))
     points = []
     for axis, (point, _) in enumerate(measures.quadrant_extremes(c, outline)):
         limit, extent = float(point[axis]), float(np.ptp(outline.vertices[:, axis]))

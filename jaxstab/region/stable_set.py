@@ -188,13 +188,13 @@ class RegionStatus(Status):
 
 def components_of(c: Curve, outline: Outline) -> list[Outline]:
     """Return the outlines of the components: first the one with small gains, then by area."""
-    parts = _loops(outline)
+    parts = [_loop(outline, start, end) for start, end in loop_ends(outline)]
     if len(parts) == 1:
         return parts
     loops = [(loop, polygon_area(loop)) for loop in parts]
     holes = [pair for pair in loops if pair[1] <= 0.0]
     groups = [
-        [outer, *(hole for hole in holes if _holds(c, outer[0], hole[0]))]
+        [outer, *(hole for hole in holes if measures.holds(c, outer[0], hole[0].vertices[0]))]
         for outer in loops
         if outer[1] > 0.0
     ]
@@ -214,17 +214,13 @@ def holds_small_gains(c: Curve, outline: Outline) -> bool:
     beta = small * extent[1] * np.minimum(1.0 / ratios, 1.0)
     if np.any(measures.contains(c, outline, alpha, beta)):
         return True
-    if not measures.contains(c, outline, np.zeros(1), np.zeros(1))[0]:
+    if not measures.holds(c, outline, (0.0, 0.0)):
         return False
     # Of a set that reaches far, all of these may be beyond the wall without gains that it holds.
     least = 1e-12 * extent  # less is rounding
     walls = (least[0], 0.0), (0.0, least[1]), least
     codes = [wall_verdict(c.loop.triple, *map(float, wall)).verdict for wall in walls]
     return Verdict.STABLE in codes
-
-
-def _loops(outline: Outline) -> list[Outline]:
-    return [_loop(outline, start, end) for start, end in loop_ends(outline)]
 
 
 def _loop(outline: Outline, start: int, end: int) -> Outline:
@@ -253,10 +249,6 @@ def _joined(loops: list[Outline]) -> Outline:
         loops=len(loops),
         corners=np.concatenate([loop.corners for loop in loops]),
     )
-
-
-def _holds(c: Curve, outer: Outline, inner: Outline) -> bool:
-    return bool(measures.contains(c, outer, *inner.vertices[:1].T)[0])
 
 
 @dataclass(frozen=True, repr=False)

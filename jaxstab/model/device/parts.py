@@ -115,11 +115,6 @@ class Rational(NamedTuple):
         leading = below.leading_coefficient()
         return Rational(above / leading, below / leading), common
 
-    @property
-    def degrees(self) -> tuple[int, int]:
-        """The degrees in s of numerator and denominator; -1 for 0."""
-        return degree_of(self.numerator), degree_of(self.denominator)
-
 
 Polynomial = Any
 """In s and pi, or its values: numbers, arrays or models over boxes."""
@@ -507,7 +502,7 @@ def checked_compliance(function: Rational, device: Any) -> Rational:
             "device that a force moves."
         )
     reduced, common = function.reduced()
-    above, below = reduced.degrees
+    above, below = map(degree_of, reduced)
     if above >= below:
         raise ValueError(
             f"the device ({device}) has degree {above} over {below} in s; position over force is "
