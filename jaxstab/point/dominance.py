@@ -44,8 +44,6 @@ from jaxstab.point.schur_cohn import (
 from jaxstab.point.verdicts import Plant, float_plant, tail_error
 from jaxstab.rounding import SAFETY, UNIT
 
-# The dominant root of p(z) without eigenvalues, point by point.
-#
 # Only elementwise operations, the same for every point: a compiler keeps all of it in registers.
 # Powers of the companion matrix (``traced_radius``) make the guess, for long delays those of a loop
 # of fewer, longer samples. On a dense grid, neighbours share it: Newton's method leads from it to
@@ -54,10 +52,7 @@ from jaxstab.rounding import SAFETY, UNIT
 #
 #     p(z) = z^(n-2) D(z) + N(z) (alpha z + beta t),    D = t^2 + (1 - d0 + D(1)) t + D(1)
 #
-# are as small as the gains that make them, so slow loops with roots close to 1 lose no digits. That
-# a root is dominant is proved above.
-#
-# Source: eq. (9) in the form of the design.
+# are as small as the gains that make them, so slow loops with roots close to 1 lose no digits.
 
 Column = Any  # an array, or None for zeros
 
@@ -420,8 +415,6 @@ def _circle(t: Array, rounding: Array, loop: Loop, degree: int) -> tuple[Chain, 
     )
 
 
-# Spectral radius and its error over many points by dominant roots, wherever these can be proved.
-#
 # Each point is proved independently of the others. Where the first try is not proved to
 # ``TOLERANCE``, mostly because two roots have nearly the same modulus, the next one squares the
 # power of z more often. The few points that are then still open have multiple or nearly equal

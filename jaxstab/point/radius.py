@@ -76,10 +76,8 @@ from jaxstab.point.verdicts import Points, Values, filtered_loops, is_plant_lost
 from jaxstab.rounding import PAIR_UNIT, SAFETY, UNIT
 from jaxstab.shown import number_text, text_with_bound
 
-# Spectral radii of any linear loops, and a bound of the error of each.
-#
-# The dominant eigenvalue of the companion matrix is corrected by Newton's method with a residual in
-# double-double, and proved by a ladder of verdicts on p(r z) (lemmas R3 and V7 of docs/proofs.md).
+# Any linear loops: the dominant eigenvalue of the companion matrix is corrected by Newton's method
+# with a residual in double-double, and proved by a ladder of verdicts (lemmas R3 and V7).
 
 
 def filtered_radius(points: Points, filters: Filters) -> tuple[Values, Values]:

@@ -240,11 +240,9 @@ def minus(a: Number | None, ratio: Number, b: Number | None) -> Any:
     return -(ratio * b) if a is None else a - ratio * b
 
 
-# Verdicts of polynomials without a special form: loops with estimators and filters.
-#
-# The Schur-Cohn steps act on all coefficients, in O(degree^2) operations; where only the first and
-# the last ones are not 0, as with windows and long delays, they act on those alone (lemma V2 of
-# docs/proofs.md). The proof uses the same lemmas as for the loop of the paper.
+# Polynomials without a special form, of loops with estimators and filters: steps act on all
+# coefficients, in O(degree^2) operations; where only the first and the last ones are not 0, as with
+# windows and long delays, on those alone. The same lemmas prove them.
 
 
 @pytree

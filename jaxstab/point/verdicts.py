@@ -161,9 +161,7 @@ def _loop_float_codes(alpha: Array, beta: Array, loop: LinearLoop, *, degree: in
     return over_tiles(codes, (alpha, beta, loop), _TILE)
 
 
-# The loop's p(z) in the form of the recursion, and the rounding errors of forming it.
-#
-# Plants are computed once, in double-double (lemma V7 of docs/proofs.md). Source: eq. (9).
+# The p(z) of eq. (9) in the form of the recursion, and the rounding errors of forming it.
 
 HIGHEST_UNROLLED = 12  # degree up to which XLA compiles the recursion without a loop
 _PAYS_FROM = 1 << 19  # points

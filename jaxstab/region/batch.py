@@ -695,7 +695,7 @@ def _are_in_quadrant(walls: Array, size: Array, axis: Array) -> Array:
 
 
 class _Turns(NamedTuple):
-    """The highest places where the curve turns, refined: ``_CANDIDATES`` of them.
+    """The highest places where the curve turns, refined.
 
     ``values``: of the gain, -inf where it is not solved for or outside of the quadrant. ``best``:
     before it was refined. ``rest``: no other place was higher.

@@ -291,11 +291,7 @@ def _last_steps(c: Curve, theta: Array, goals: Array, axis: Axis) -> tuple[Array
 
 
 def _nearest(c: Curve, outline: Outline, points: Array) -> Array:
-    """Return the nearest points (point, 2) of the boundary.
-
-    Edges are looked at in the order of the distances of their boxes, up to where a box is farther
-    than the nearest point so far.
-    """
+    """Return the nearest points (point, 2) of the boundary."""
     at_once = 4  # edges
     here, there = outline.vertices[:-1], outline.vertices[1:]
     far = _box_distances(here, there, points[:, None])
