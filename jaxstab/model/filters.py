@@ -176,6 +176,7 @@ class LowPass(Section):
     text: ClassVar[str] = "a low pass at {cutoff} Hz of order {order}"
     powers: ClassVar[dict[str, int]] = {"cutoff": 1}
     remedy: ClassVar[str] = f"{_NOT_IN_FLOATS}one closer to 1 / period."
+    most_turns: ClassVar[float] = 100.0  # a sample; of some more the pole is 0 in float64
 
     @property
     def number(self) -> Array:
@@ -184,7 +185,7 @@ class LowPass(Section):
 
     @property
     def longest_sample_time(self) -> float:
-        return 100.0 / float(self.cutoff)  # beyond some more the pole is 0 in float64
+        return self.most_turns / float(self.cutoff)
 
     def factors(self, number: Any) -> list[Stage]:
         return [_lag(1 - number)] * self.order
@@ -211,18 +212,15 @@ class Exponential(Section):
 
 @pytree
 @dataclass(frozen=True)
-class Butterworth(Section):
+class Butterworth(LowPass):
     """The bilinear transform of Butterworth's low pass, with its cut-off prewarped."""
-
-    cutoff: Numbers
-    order: int = fixed()
 
     kind: ClassVar[str] = "butterworth"
     maker: ClassVar[str] = "butterworth"
     estimator: ClassVar[str] = "butterworth"
     text: ClassVar[str] = "a Butterworth filter at {cutoff} Hz of order {order}"
-    powers: ClassVar[dict[str, int]] = {"cutoff": 1}
     remedy: ClassVar[str] = "give one below half of the sampling rate, {rate:g} Hz."
+    most_turns: ClassVar[float] = 0.499  # it ends at half of the sampling rate
 
     @property
     def number(self) -> Array:
@@ -236,10 +234,6 @@ class Butterworth(Section):
     @property
     def toml(self) -> dict[str, Any]:
         return {**vars(self), "kind": self.kind}
-
-    @property
-    def longest_sample_time(self) -> float:
-        return 0.499 / float(self.cutoff)  # it ends at half of the sampling rate
 
     def factors(self, number: Any) -> list[Stage]:
         w, factors = number, []
