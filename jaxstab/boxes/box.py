@@ -94,9 +94,5 @@ class ParameterBoxes:
 
 def joined(parts: Sequence[ParameterBoxes]) -> ParameterBoxes:
     """The boxes of one, then of the next, all with the same axes."""
-    center, half = (
-        np.concatenate([getattr(boxes, name) for boxes in parts], axis=1)
-        for name in ("center", "half")
-    )
-    index = np.concatenate([boxes.index for boxes in parts])
-    return ParameterBoxes(parts[0].axes, center, half, index)
+    columns = zip(*((boxes.center, boxes.half, boxes.index) for boxes in parts), strict=True)
+    return ParameterBoxes(parts[0].axes, *(np.concatenate(column, axis=-1) for column in columns))

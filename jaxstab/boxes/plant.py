@@ -300,19 +300,16 @@ def _polynomial(falling: tuple[float, ...], s: Function) -> Function:
     value = s * 0.0 + falling[0]
     for c in falling[1:]:
         value = value * s + c
-    if isinstance(s, Moving):
-        size, powers = s.value.size, range(len(falling))[::-1]
-        terms = [(abs(c), power) for c, power in zip(falling, powers, strict=True)]
-        own, rate = (
-            sum(c * power**k * size ** max(power - k, 0) for c, power in terms) for k in (0, 1)
-        )
-        moved = _widened(value.rate, PARAMETER * rate * s.rate.size)
-        return Moving(_widened(value.value, PARAMETER * own), moved)
+    if not isinstance(s, Moving | LinearModel):
+        return value
+    terms = list(zip(map(abs, falling), range(len(falling))[::-1], strict=True))
+    own, rate = (
+        sum(c * power**k * _size(s) ** max(power - k, 0) for c, power in terms) for k in (0, 1)
+    )
     if isinstance(s, LinearModel):
-        powers = range(len(falling))[::-1]
-        size = sum(abs(c) * s.size**power for c, power in zip(falling, powers, strict=True))
-        return _widened(value, PARAMETER * size)
-    return value
+        return _widened(value, PARAMETER * own)
+    moved = _widened(value.rate, PARAMETER * rate * s.rate.size)
+    return Moving(_widened(value.value, PARAMETER * own), moved)
 
 
 # Where a straight line parts all loops of a box, and of all stiffnesses up to a limit, from 0.
