@@ -45,9 +45,9 @@ from jaxstab.pictures.style import (
     raise_powers,
 )
 from jaxstab.scene.answers import (
+    GIVEN,
     Answer,
     Basis,
-    GivenQuantity,
     Quantity,
     basis_of,
     in_words,
@@ -161,7 +161,7 @@ _HEIGHT = 4.6  # inches
 _WIDTH = 6.4
 _MOST_LEVELS = 3  # of lines of equal values
 _LARGEST = Quantity("N/m", 4, ROUND_FLOOR)
-_STIFFNESS = GivenQuantity("N/m")
+_STIFFNESS = Quantity("N/m", GIVEN)
 
 
 def scene_figure(scene: Scene | GainScene, answer: Answer | None = None) -> Figure:
@@ -446,7 +446,7 @@ def _draw_tuned(panel: Axes, tuned: Tuned, units: Units) -> None:
 def _gains_text(
     stiffness: float, damping: float, units: Units, quantity: Quantity = _STIFFNESS
 ) -> str:
-    return f"{quantity.words(stiffness, units)}, {GivenQuantity('N s/m').words(damping, units)}"
+    return f"{quantity.words(stiffness, units)}, {Quantity('N s/m', GIVEN).words(damping, units)}"
 
 
 def _draw_chatter(

@@ -7,8 +7,8 @@ SI units but for a phase in degrees, and the unit of each key. Answers of a scen
 the units of rotation, and inertia for mass.
 """
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 from enum import IntEnum
 from functools import cache
@@ -57,11 +57,16 @@ LABELS = {
 """Labels of fields whose names do not read as English, by name."""
 
 
+GIVEN = 0
+"""The digits of a number that a user gave, or that was rounded: all that it has."""
+
+
 @dataclass(frozen=True)
 class Quantity:
     """Format of a number: its unit and significant digits, a rounding mode, words for infinity.
 
-    Times and lengths have the prefix of their size.
+    Times and lengths have the prefix of their size. The ends of an interval are rounded inwards,
+    with enough digits that they stay in order.
     """
 
     unit: str = ""
@@ -70,53 +75,37 @@ class Quantity:
     infinite: str = "unlimited"
 
     def words(self, value: Any, units: Units = Units.LINE) -> str:
-        """Return a finite or infinite number with its unit."""
-        factor, prefix = self._prefix(value)
-        text = self._text(value, self.rounding, self.digits, factor)
-        return self._with_unit(text, prefix, units)
+        """Return a finite or infinite number, or the two ends of an interval, with their unit."""
+        ends = value if isinstance(value, tuple) else (value,)
+        factor, prefix = self._prefix(max(map(abs, ends)))
+        if isinstance(value, tuple):
+            text = self._interval(value, factor)
+        else:
+            text = self._text(value, self.rounding, self.digits, factor)
+        unit = f"{prefix}{units.length if self.unit == 'm' else units.unit(self.unit)}"
+        return f"{text} {unit}" if unit and text[-1].isdigit() else text
 
-    def _prefix(self, *values: float | int) -> tuple[int, str]:
-        """The factor and the prefix with which some numbers are printed, by the largest of them."""
-        size = max(abs(value) for value in values)
+    def _prefix(self, size: float) -> tuple[int, str]:
         if self.unit not in ("s", "m"):
             return 1, ""
         return next(((factor, name) for least, factor, name in _PREFIXES if size >= least), (1, ""))
 
-    def _text(self, value: float | int, rounding: str, digits: int, factor: int) -> str:
-        if isinf(value):
-            return self.infinite
-        if isinstance(value, Printed):
-            return rounded_text(Decimal(value.text), MOST_DIGITS, factor=factor)
-        return rounded_text(value, digits, rounding, factor=factor)
-
-    def _with_unit(self, text: str, prefix: str, units: Units) -> str:
-        unit = f"{prefix}{units.length if self.unit == 'm' else units.unit(self.unit)}"
-        return f"{text} {unit}" if unit and text[-1].isdigit() else text
-
-
-class GivenQuantity(Quantity):
-    """Format of a number that a user gave, or that was rounded: all of its digits."""
-
-    def words(self, value: Any, units: Units = Units.LINE) -> str:
-        """Return the number with its unit."""
-        is_text = isinstance(value, Printed)
-        return super().words(value if is_text else Printed(value, exact_text(value)), units)
-
-
-class IntervalQuantity(Quantity):
-    """Format of an interval: its ends inwards, with enough digits that they stay in order."""
-
-    def words(self, value: Any, units: Units = Units.LINE) -> str:
-        """Return the two ends with their unit; one number as any other."""
-        if not isinstance(value, tuple):
-            return super().words(value, units)
-        (low, high), (factor, prefix) = value, self._prefix(*value)
+    def _interval(self, ends: tuple[float, float], factor: int) -> str:
+        low, high = ends
         for digits in range(self.digits, MOST_DIGITS + 1):
             least = self._text(low, ROUND_CEILING, digits, factor)
             largest = self._text(high, ROUND_FLOOR, digits, factor)
             if isinf(low) or isinf(high) or float(least) <= float(largest):
                 break
-        return self._with_unit(f"{least} to {largest}", prefix, units)
+        return f"{least} to {largest}"
+
+    def _text(self, value: float | int, rounding: str, digits: int, factor: int) -> str:
+        if isinf(value):
+            return self.infinite
+        if isinstance(value, Printed) or digits == GIVEN:
+            text = value.text if isinstance(value, Printed) else exact_text(value)
+            return rounded_text(Decimal(text), MOST_DIGITS, factor=factor)
+        return rounded_text(value, digits, rounding, factor=factor)
 
 
 def printed_wall(limit: float, other: float, *known: Any) -> tuple[float, float]:
@@ -137,8 +126,8 @@ def rounded_wall(stiffness: float, damping: float, is_stable: Any) -> tuple[floa
 
 Stiffness = Annotated[float, Quantity("N/m")]
 Damping = Annotated[float, Quantity("N s/m")]
-GivenStiffness = Annotated[float, GivenQuantity("N/m")]
-GivenDamping = Annotated[float, GivenQuantity("N s/m")]
+GivenStiffness = Annotated[float, Quantity("N/m", GIVEN)]
+GivenDamping = Annotated[float, Quantity("N s/m", GIVEN)]
 Mass = Annotated[float, Quantity("kg")]
 Time = Annotated[float, Quantity("s")]
 Frequency = Annotated[float, Quantity("Hz")]
@@ -147,9 +136,9 @@ Bound = Annotated[float, Quantity(digits=3, rounding=ROUND_CEILING, infinite="no
 LargestStiffness = Annotated[float, Quantity("N/m", _LIMIT_DIGITS, ROUND_FLOOR)]
 LargestDamping = Annotated[float, Quantity("N s/m", _LIMIT_DIGITS, ROUND_FLOOR)]
 LargestTime = Annotated[float, Quantity("s", _LIMIT_DIGITS, ROUND_FLOOR)]
-StiffnessLimits = Annotated[tuple[float, float], IntervalQuantity("N/m", _LIMIT_DIGITS)]
-DampingLimits = Annotated[tuple[float, float], IntervalQuantity("N s/m", _LIMIT_DIGITS)]
-MassRange = Annotated[tuple[float, float], IntervalQuantity("kg")]
+StiffnessLimits = Annotated[tuple[float, float], Quantity("N/m", _LIMIT_DIGITS)]
+DampingLimits = Annotated[tuple[float, float], Quantity("N s/m", _LIMIT_DIGITS)]
+MassRange = Annotated[tuple[float, float], Quantity("kg")]
 
 
 class Answer:
@@ -226,12 +215,14 @@ class Answer:
 
     def _entries(self) -> Iterator[tuple[tuple[str, ...], Any]]:
         """Yield each value after its key, or after the two of one in a dictionary."""
-        for field in fields(self):  # type: ignore[arg-type]
-            value = getattr(self, field.name)
+        for name, value in self._values().items():
             if isinstance(value, dict):
-                yield from (((field.name, name), entry) for name, entry in value.items())
+                yield from (((name, inner), entry) for inner, entry in value.items())
             elif value is not None:
-                yield (field.name,), value
+                yield (name,), value
+
+    def _values(self) -> Mapping[str, Any]:
+        return vars(self)
 
     def _units_of_keys(self, units: Units) -> dict[str, str]:
         """Return the unit of each key of a number, "1" where it has none."""
@@ -261,15 +252,15 @@ class Basis(Answer):
     velocity: str
     position: str | None
     sample_time: Time
-    delay: Annotated[float | tuple[float, float], IntervalQuantity("s")]
-    delay_samples: Annotated[float | tuple[float, float], IntervalQuantity()]
+    delay: Annotated[float | tuple[float, float], Quantity("s")]
+    delay_samples: Annotated[float | tuple[float, float], Quantity()]
     delay_is: str | None
     lost_samples: Annotated[int, Quantity()] | None
     mass: MassRange
     damping: Damping
     hand_mass: MassRange | None
-    hand_stiffness: Annotated[tuple[float, float], IntervalQuantity("N/m")] | None
-    hand_damping: Annotated[tuple[float, float], IntervalQuantity("N s/m")] | None
+    hand_stiffness: Annotated[tuple[float, float], Quantity("N/m")] | None
+    hand_damping: Annotated[tuple[float, float], Quantity("N s/m")] | None
     mechanics: str | None
     postures: str | None
     motion: str | None
@@ -289,9 +280,9 @@ class Basis(Answer):
         """The delay with its unit and in samples, or that it is assumed."""
         if self.delay_is == _NO_DELAY:
             return f"{self.delay:g} ({self.delay_is})"
-        words = IntervalQuantity("s").words(self.delay)
+        words = Quantity("s").words(self.delay)
         plural = "" if self.delay_samples == 1.0 else "s"
-        return f"{words} ({IntervalQuantity().words(self.delay_samples)} sample{plural})"
+        return f"{words} ({Quantity().words(self.delay_samples)} sample{plural})"
 
     def facts(self) -> dict[str, str]:
         """The estimator, the filter, the delay and its range, and what moves."""
@@ -319,13 +310,6 @@ def in_words(value: str | IntEnum) -> str:
 def _named(name: str, units: Units) -> str:
     """Return the key of a quantity: inertia in place of mass for what turns."""
     return name.replace(Units.LINE.moved, units.moved)
-
-
-def aligned(rows: Iterable[tuple[str, str]]) -> str:
-    """Rows as lines, their names in a column."""
-    rows = [*rows]
-    column = max(len(name) for name, _ in rows) + 2
-    return "\n".join(f"{name:{column}}{words}" for name, words in rows)
 
 
 def line(indent: str, name: str, words: str) -> str:
@@ -366,7 +350,7 @@ def _delay_is(controller: Controller, constant: str | None) -> str | None:
         is_given = controller.delay is not None or controller.delay_samples is not None
         return None if is_given else _NO_DELAY
     low, high = controller.delays
-    ends = IntervalQuantity("s").words((low, high)).replace(" to ", " and ")
+    ends = Quantity("s").words((low, high)).replace(" to ", " and ")
     every = "sequence" if controller.moves else "constant delay"
     hold = f"here constant, {constant}" if constant else f"verdicts cover every {every}"
     hold += ", no sample lost" if constant and controller.lost_samples else ""
@@ -396,7 +380,7 @@ def basis_of(scene: Scene, *, at_longest: bool = False, constant: str = "the lon
     estimator = controller.velocity or (
         "the difference over one sample (assumed: the scene names no estimator)"
     )
-    masses = IntervalQuantity("kg").words(device.effective_mass, scene.units)
+    masses = Quantity("kg").words(device.effective_mass, scene.units)
     postures = f"a device of {masses}, constant while a wall is touched"
     return Basis(
         velocity=str(estimator),
@@ -424,10 +408,10 @@ def blocks_of(scene: Scene) -> dict[str, str]:
     mass, *own = (
         words.words(ends if ends[0] < ends[1] else ends[0], units)
         for words, ends in (
-            (IntervalQuantity("kg"), device.effective_mass),
-            (IntervalQuantity("kg"), hand.effective_mass),
-            (IntervalQuantity("N/m"), hand.stiffness),
-            (IntervalQuantity("N s/m"), hand.damping),
+            (Quantity("kg"), device.effective_mass),
+            (Quantity("kg"), hand.effective_mass),
+            (Quantity("N/m"), hand.stiffness),
+            (Quantity("N s/m"), hand.damping),
         )
     )
     turning = "" if units is Units.LINE else ", which turns"

@@ -13,7 +13,7 @@ from typing import Any
 
 from jaxstab.loop import Gains, StableValues
 from jaxstab.loop.backwards import range_of
-from jaxstab.scene.answers import GivenQuantity, IntervalQuantity, Quantity, basis_of
+from jaxstab.scene.answers import GIVEN, Quantity, basis_of
 from jaxstab.scene.gains import GainAnswer
 from jaxstab.scene.limits import numbered
 from jaxstab.scene.loops import loop_of, masses_of, range_of_hands, walls_of
@@ -124,10 +124,10 @@ def _needs(wall: Gains, found: StableValues, units: Units, every: str) -> GainAn
         values["status"] = "no value tried is stable"
     values["scan"] = found._replace(unit=units.unit(found.unit)).scan
     formats: dict[str, Quantity] = {
-        "stiffness": GivenQuantity("N/m"),
-        "damping": GivenQuantity("N s/m"),
+        "stiffness": Quantity("N/m", GIVEN),
+        "damping": Quantity("N s/m", GIVEN),
         least: Quantity(found.unit, digits, ROUND_CEILING),
         largest: Quantity(found.unit, digits, ROUND_FLOOR),
-        others: IntervalQuantity(found.unit, digits),
+        others: Quantity(found.unit, digits),
     }
     return GainAnswer(values, formats, bool(found.intervals) and found.is_proved)

@@ -30,11 +30,9 @@ from jaxstab.scene.answers import (
     Bound,
     DampingLimits,
     Frequency,
-    IntervalQuantity,
     Number,
     Quantity,
     StiffnessLimits,
-    aligned,
     basis_of,
     line,
 )
@@ -54,6 +52,7 @@ from jaxstab.scene.loops import (
     worst_on,
 )
 from jaxstab.scene.scene import Scene, Units
+from jaxstab.shown import table_text
 
 Amplitude = Annotated[float, Quantity("m", 3, ROUND_CEILING, "not proved")]
 SettlingTime = Annotated[float, Quantity("s", infinite="never")]
@@ -87,9 +86,9 @@ class NoMargins(Answer):
     absent = "none is stable"
 
     stable_at_its_damping: StiffnessLimits | None
-    other_stiffnesses: Annotated[dict[str, tuple[float, float]], IntervalQuantity("N/m", 4)]
+    other_stiffnesses: dict[str, StiffnessLimits]
     stable_at_its_stiffness: DampingLimits | None
-    other_dampings: Annotated[dict[str, tuple[float, float]], IntervalQuantity("N s/m", 4)]
+    other_dampings: dict[str, DampingLimits]
 
 
 @dataclass(frozen=True)
@@ -296,7 +295,7 @@ class Check(Answer):
             rows.append(("ranges", words + ", of constant delays" * (delays is not None)))
         for name, wall in self.walls.items():
             rows += wall.rows(name, self.inputs)
-        return aligned(rows)
+        return table_text(rows)
 
 
 @dataclass(frozen=True)

@@ -30,11 +30,9 @@ from jaxstab.numbers import without_noise
 from jaxstab.region import RegionStatus
 from jaxstab.rounding import EPS
 from jaxstab.scene.answers import (
+    GIVEN,
     Answer,
-    GivenQuantity,
-    IntervalQuantity,
     Quantity,
-    aligned,
     basis_of,
     quantities,
 )
@@ -52,7 +50,7 @@ from jaxstab.scene.scene import (
     walls_in,
 )
 from jaxstab.scene.tune import DesignStatus, largest_value
-from jaxstab.shown import Printed, stable_pair
+from jaxstab.shown import Printed, stable_pair, table_text
 
 _DOORS: Mapping[str, tuple[Any, tuple[str, ...]]] = {
     "simulator": (doors.simulated_pd, ()),
@@ -247,7 +245,7 @@ class GainAnswer(Answer):
         rows += inputs["device"].facts().items() if inputs["device"] else ()
         for name, pair in self.values["gains"].items():
             rows += pair.rows(f"gains {name}")
-        return aligned(rows)
+        return table_text(rows)
 
     def rows(self, name: str) -> Iterator[tuple[str, str]]:
         """The verdict on a pair of gains, and what is left where it is stable."""
@@ -263,12 +261,8 @@ class GainAnswer(Answer):
             beside = [stable_in_words(x, x, y, said[f"{x}_limits_low"], said) for x, y in places]
             yield "  stable gains", "; ".join(beside)
 
-    def _entries(self) -> Iterator[tuple[tuple[str, ...], Any]]:
-        for name, value in self.values.items():
-            if isinstance(value, dict):
-                yield from (((name, own), entry) for own, entry in value.items())
-            elif value is not None:
-                yield (name,), value
+    def _values(self) -> Mapping[str, Any]:
+        return self.values
 
     def _quantity(self, name: str) -> Quantity:
         return self.formats[name]
@@ -379,10 +373,10 @@ def _row(scene: GainScene, fixed: Gain, value: float, around: float = nan) -> Ga
     found = stable_intervals(line, scene.wanted["safety"] or 1.0, around)
     least = 0.0 if own.sense == "least" else -inf  # a mass is not negative
     first, *others = [(max(low, least), high) for low, high in found if high > 0.0] or [(nan, nan)]
-    names, limits = (f"{own.name}_limits", f"other_{own.name}"), IntervalQuantity(own.unit, 4)
+    names, limits = (f"{own.name}_limits", f"other_{own.name}"), Quantity(own.unit, 4)
     return GainAnswer(
         {f"at_{fixed.name}": value, names[0]: first, names[1]: numbered(others)},
-        {f"at_{fixed.name}": GivenQuantity(fixed.unit), **dict.fromkeys(names, limits)},
+        {f"at_{fixed.name}": Quantity(fixed.unit, GIVEN), **dict.fromkeys(names, limits)},
     )
 
 
@@ -390,7 +384,7 @@ def _around(scene: GainScene, pair: dict[str, float], *, in_full: bool = False) 
     """The verdict on a pair, and the stable values of each gain at the other one."""
     verdict = scene.verdict(*pair.values())
     values: dict[str, Any] = {**pair, "verdict": verdict}
-    formats: dict[str, Quantity] = {x.name: GivenQuantity(x.unit) for x in scene.loop.gains}
+    formats: dict[str, Quantity] = {x.name: Quantity(x.unit, GIVEN) for x in scene.loop.gains}
     if scene.is_range:
         return GainAnswer(values, formats, verdict == Verdict.STABLE)
     if in_full:
@@ -402,7 +396,7 @@ def _around(scene: GainScene, pair: dict[str, float], *, in_full: bool = False) 
         names = [f"{name}_factors" for name in (*pair, "both")]
         for name, (low, high) in zip(names, scene.loop.margins(**pair)[3:6], strict=True):
             values[name] = (*without_noise([low, high], high - low).tolist(),)
-        formats |= dict.fromkeys(names, IntervalQuantity("", 4))
+        formats |= dict.fromkeys(names, Quantity("", 4))
     for own in scene.loop.gains:
         fixed = _other(scene, own)
         row = _row(scene, fixed, pair[fixed.name], pair[own.name])
@@ -441,7 +435,7 @@ def design_gains(scene: GainScene) -> GainAnswer:
     now = _limit(scene, _limits(scene)[scene.loop.gains.index(own)])
     values = {own.name: scene.wanted[own.name], "now": replace(now, is_stable=True)}
     values |= {name: _largest(scene, own, section[period], name) for name in (period, late)}
-    return GainAnswer(_stated(scene) | values, {own.name: GivenQuantity(own.unit)})
+    return GainAnswer(_stated(scene) | values, {own.name: Quantity(own.unit, GIVEN)})
 
 
 def _largest(scene: GainScene, own: Gain, period: float, name: str) -> GainAnswer:

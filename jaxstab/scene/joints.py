@@ -5,7 +5,7 @@ are gravity, and that other joints are controlled at the same time.
 """
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from decimal import ROUND_CEILING
@@ -25,7 +25,6 @@ from jaxstab.scene.answers import (
     Damping,
     GivenDamping,
     GivenStiffness,
-    IntervalQuantity,
     Quantity,
 )
 from jaxstab.scene.check import SpareGain, SpareTime
@@ -215,7 +214,7 @@ class JointAnswer(Answer):
     """
 
     motion: str
-    inertia: Annotated[tuple[float, float], IntervalQuantity("kg", 4)]
+    inertia: Annotated[tuple[float, float], Quantity("kg", 4)]
     damping: Damping
     friction: Annotated[float, Quantity("N")]
     kp: GivenStiffness | None
@@ -334,8 +333,8 @@ class Joints(Answer):
             ]
         )
 
-    def _entries(self) -> Iterator[tuple[tuple[str, ...], Any]]:
-        return (entry for entry in super()._entries() if entry[0][0] != "questions")
+    def _values(self) -> Mapping[str, Any]:
+        return {"inputs": self.inputs, "joints": self.joints}
 
 
 def _answer(question: JointLoop) -> JointAnswer:

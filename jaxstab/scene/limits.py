@@ -21,14 +21,12 @@ from jaxstab.scene.answers import (
     DampingLimits,
     GivenDamping,
     GivenStiffness,
-    IntervalQuantity,
     LargestDamping,
     LargestStiffness,
     Number,
     Quantity,
     Stiffness,
     StiffnessLimits,
-    aligned,
     basis_of,
     printed_wall,
 )
@@ -52,6 +50,7 @@ from jaxstab.scene.loops import (
     worst_on,
 )
 from jaxstab.scene.scene import Scene
+from jaxstab.shown import table_text
 
 _SEE_BELOW = " (all hands: see below)"
 _PROVED = "proved for every"
@@ -100,7 +99,7 @@ class StiffnessesAtDamping(Answer):
 
     at_damping: GivenDamping
     stiffness_limits: StiffnessLimits
-    other_stiffnesses: Annotated[dict[str, tuple[float, float]], IntervalQuantity("N/m", 4)]
+    other_stiffnesses: dict[str, StiffnessLimits]
     linear_rule_stiffness: LargestStiffness | None
 
 
@@ -110,7 +109,7 @@ class DampingsAtStiffness(Answer):
 
     at_stiffness: GivenStiffness
     damping_limits: DampingLimits
-    other_dampings: Annotated[dict[str, tuple[float, float]], IntervalQuantity("N s/m", 4)]
+    other_dampings: dict[str, DampingLimits]
 
 
 @dataclass(frozen=True)
@@ -229,7 +228,7 @@ def brief(answer: Limits | LimitsOverDelays, *, islands: bool = False) -> str:
             lines[f"island {name}"] = limit(f"islands.{name}", island.reached)
         elif island.largest_stiffness > 0.0 and island.at_damping >= 0.0:
             lines["islands"] = "stable walls that are not connected to zero gains: see --islands"
-    return aligned(lines.items())
+    return table_text([*lines.items()])
 
 
 def _wall_text(wall: WallVerdict | AroundWall, key: str, said: dict[str, str]) -> str:
