@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from jaxstab.conventions import Verdict
 from jaxstab.loop import FrequencyMargins
-from jaxstab.pictures.style import BLACK, BLUE, GREEN, OCHRE, ORANGE, RED, new_axes
+from jaxstab.pictures.style import BLACK, BLUE, GREEN, OCHRE, ORANGE, RED, Floats, new_axes
 from jaxstab.shown import number_text
 
-Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 

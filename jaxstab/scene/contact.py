@@ -26,15 +26,12 @@ from jaxstab.model import LoopParameters
 from jaxstab.numbers import checked
 from jaxstab.scene.answers import Answer, Basis, Frequency, Quantity, basis_of
 from jaxstab.scene.labelled import Variable, computed, table_of, xarray_module
-from jaxstab.scene.loops import hands_of, loop_of, walls_of, with_delay
+from jaxstab.scene.loops import Floats, hands_of, loop_of, walls_of, with_delay
 from jaxstab.scene.scene import Scene, Units
 from jaxstab.shown import shortened
 
 if TYPE_CHECKING:
     from xarray import Dataset
-
-
-Floats = Float64[np.ndarray, " _"]
 
 
 @dataclass(frozen=True)

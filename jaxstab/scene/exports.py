@@ -184,10 +184,9 @@ def ask_atlas(scene: Scene, atlas: Atlas) -> tuple[dict[str, Any], list[dict[str
     rows = []
     for (name, gains), (corner, view) in product(walls.items(), zip(corners, views, strict=True)):
         answer = view.query(*gains)
-        row: dict[str, Any] = dict(zip(units, (*gains, *corner), strict=True))
         codes = Verdict(answer.verdict.item()), QueryStatus(answer.status.item())
         words = dict(zip(("verdict", "status"), (code.name.lower() for code in codes), strict=True))
-        rows.append({"wall": name} | row | words)
+        rows.append({"wall": name, **dict(zip(units, (*gains, *corner), strict=True)), **words})
     stated = GainAnswer({"inputs": basis_of(scene)}).as_json()
     stated["inputs"] |= {"created_by": atlas.created_by}
     stated["units"] |= units

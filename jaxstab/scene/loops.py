@@ -385,8 +385,7 @@ def delays_of(scene: Scene) -> dict[str, Any]:
 
 def ranges_of_all(scene: Scene) -> dict[str, Any]:
     """Return the arguments for all hands, masses and delays of a scene, as ``robust_limit`` has."""
-    hands = hands_of(scene) or range_of_hands(scene)
-    return {"hands": hands, "mass": masses_of(scene), **delays_of(scene)}
+    return {"hands": range_of_hands(scene), "mass": masses_of(scene), **delays_of(scene)}
 
 
 def limit_for_all(scene: Scene, safety: float) -> AllHands | None:

@@ -5,7 +5,7 @@ largest sample time and the largest delay that allow a wanted stiffness.
 """
 
 from bisect import bisect_left
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from math import inf, nan, sqrt
@@ -107,11 +107,7 @@ def tune_over_ranges(scene: Scene, fastest: Gains | None) -> WallOverRanges | No
         if wall.status == TuningStatus.NO_STABLE_GAINS:
             words = "no wall was found that settles over all of the ranges"
             return WallOverRanges(None, None, None, None, None, words)
-        rounded = Gains(
-            *rounded_wall(
-                wall.stiffness, wall.damping, lambda *gains: all(_are_stable(loops, gains))
-            )
-        )
+        rounded = Gains(*rounded_wall(wall.stiffness, wall.damping, partial(_is_stable, loops)))
         times = settling_times(every, *rounded)
         slowest = int(np.argmax(times))
         if times[slowest] <= wall.settling_time or every[slowest] in loops:
@@ -129,9 +125,9 @@ def tune_over_ranges(scene: Scene, fastest: Gains | None) -> WallOverRanges | No
     )
 
 
-def _are_stable(loops: list[HapticLoop], gains: tuple[float, ...]) -> Iterator[bool]:
-    """Yield whether a wall is proved stable in each of some loops."""
-    return (bool(loop.verdict(*gains) == Verdict.STABLE) for loop in loops)
+def _is_stable(loops: list[HapticLoop], stiffness: float, damping: float) -> bool:
+    """True if a wall is proved stable in each of some loops."""
+    return all(loop.verdict(stiffness, damping) == Verdict.STABLE for loop in loops)
 
 
 def _between(ranges: list[tuple[float, float]]) -> list[Member]:
@@ -246,7 +242,7 @@ def _best(
     if best.status in (TuningStatus.NO_STABLE_GAINS, TuningStatus.NOT_CALM):
         return BestWall(None, None, None, best.status, None, None)
     gains = Gains(best.stiffness, best.damping)
-    rounded = Gains(*rounded_wall(*gains, lambda *gains: all(_are_stable([loop], gains))))
+    rounded = Gains(*rounded_wall(*gains, partial(_is_stable, [loop])))
     over_hands, over_delays = hands_of(scene) is not None, not scene.controller.has_one_delay
     worst = worst_on(scene, [rounded])[0][0] if over_hands or over_delays else None
     return BestWall(
@@ -418,7 +414,7 @@ def _largest(
         return max(-1.0, _stiffest(loop_at(value)).stiffness * safety / wanted - 1.0)
 
     def is_stable(value: float, damping: float) -> bool:
-        return all(_are_stable([loop_at(value)], (wanted, damping)))
+        return _is_stable([loop_at(value)], wanted, damping)
 
     if among is not None:
         index = bisect_left(among, True, key=lambda value: spare(value) >= 0.0)
