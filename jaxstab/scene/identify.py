@@ -326,24 +326,13 @@ def _identified(
     fitted: Segments,
 ) -> Identified:
     """The answer, with what the residual says of it; ``extent`` is that of the motion."""
-    mass, damping, friction, offset, stiffness, delay = estimates
+    mass, damping, friction, *others = estimates
     _warn_of_units(mass.value, period)
     residual = measured - fitted
-    return Identified(
-        mass,
-        damping.times(1.0, 0.0),
-        friction.times(1.0, 0.0),
-        offset,
-        stiffness,
-        delay,
-        period,
-        resolution,
-        _rms(residual),
-        _doubt(residual, resolution, extent, period),
-        *velocity,
-        measured,
-        fitted,
-    )
+    told = _rms(residual), _doubt(residual, resolution, extent, period), *velocity
+    found: list[Any] = [mass, damping.times(1.0, 0.0), friction.times(1.0, 0.0), *others]
+    found += [period, resolution, *told, measured, fitted]
+    return Identified(*found)
 
 
 def _rms(values: Any) -> float:
@@ -667,15 +656,10 @@ def identified_scene(device: Identified, units: Units, source: str) -> str:
     The delay becomes a range in which it may vary, because those proofs cover ranges of mass, too.
     With a warning there is no range: what the model lacks moves estimates out of their intervals.
     """
-    period, resolution, remarks, ranges = (
-        device.sample_time,
-        device.resolution,
-        [],
-        " and as ranges",
-    )
+    period, resolution, remarks = device.sample_time, device.resolution, list[str]()
+    ranges = "" if device.warning else " and as ranges"
     if device.warning:
-        remarks = [f"Warning: {device.warning}. So mass and delay have no range here."]
-        ranges = ""
+        remarks.append(f"Warning: {device.warning}. So mass and delay have no range here.")
 
     def taken(estimate: Estimate) -> str:
         value, low, high = (f"{max(end, 0.0):.7g}" for end in estimate)
