@@ -10,14 +10,7 @@ from jaxstab.model.filters import Velocity, exact_chain, rounded
 from jaxstab.scene import Scene
 from jaxstab.scene.answers import delay_notes
 from jaxstab.scene.loops import hands_of, is_one_mass, loop_of, wall_region, walls_of
-from jaxstab.scene.scene import (
-    FINGER,
-    Contact,
-    Hand,
-    Units,
-    VelocityTable,
-    presets,
-)
+from jaxstab.scene.scene import FINGER, Contact, Hand, Units, VelocityTable, presets
 
 SCRIPTS = (
     *("plant", "polynomial", "loop", "region", "wall", "contact", "rules", "state"),
@@ -57,11 +50,15 @@ def _text(name: str) -> str:
 
 def _initial(scene: Scene, title: str) -> dict[str, Any]:
     _refuse_others(scene)
+    is_range = scene.hand is not None and scene.hand.varies
     return {
         "state": _state(scene),
-        "units": {"line": _units(Units.LINE), "rotation": _units(Units.ROTATION)},
+        "units": {
+            units.name.lower(): {"stiffness": units.stiffness, "damping": units.damping}
+            for units in Units
+        },
         "software": _software(),
-        "hands": _hands(scene),
+        "hands": {"lowest": _hand(scene, 0), "highest": _hand(scene, 1)} if is_range else None,
         "notes": _notes(scene, title),
     }
 
@@ -86,10 +83,6 @@ def _refuse_others(scene: Scene) -> None:
         )
 
 
-def _units(units: Units) -> dict[str, str]:
-    return {"stiffness": units.stiffness, "damping": units.damping}
-
-
 def _state(scene: Scene) -> dict[str, Any]:
     loop, device = loop_of(scene.at_longest_delay), scene.device
     stiffness, damping = _cursor(scene)
@@ -103,7 +96,7 @@ def _state(scene: Scene) -> dict[str, Any]:
         "software": _index_of(scene.controller.velocity),
         "cursorStiffness": stiffness,
         "cursorDamping": damping,
-        "motion": "line" if scene.units is Units.LINE else "rotation",
+        "motion": scene.units.name.lower(),
         "view": "near",
         **_contact(scene),
         "walls": [
@@ -134,12 +127,6 @@ def _hand(scene: Scene, end: int) -> dict[str, float]:
         "handDamping": hand.damping,
     }
     return {name: ends[end] for name, ends in ranges.items()}
-
-
-def _hands(scene: Scene) -> dict[str, dict[str, float]] | None:
-    if scene.hand is None or not scene.hand.varies:
-        return None
-    return {"lowest": _hand(scene, 0), "highest": _hand(scene, 1)}
 
 
 def _cursor(scene: Scene) -> tuple[float, float]:

@@ -173,15 +173,8 @@ def _draw_verdicts(panel: Axes, alpha: Floats, beta: Floats, verdict: NDArray[np
 
 
 def _draw_radii(panel: Axes, alpha: Floats, beta: Floats, radius: Floats) -> QuadContourSet:
-    filled = panel.contourf(
-        alpha,
-        beta,
-        radius,
-        levels=_RADII,
-        norm=BoundaryNorm(_RADII, ncolors=256, extend="both"),
-        cmap="viridis",
-        extend="both",
-    )
+    colours: Any = {"norm": BoundaryNorm(_RADII, 256, extend="both"), "cmap": "viridis"}
+    filled = panel.contourf(alpha, beta, radius, levels=_RADII, extend="both", **colours)
     panel.contour(alpha, beta, radius, levels=[1.0], colors="white", linewidths=1.2)
     return filled
 

@@ -54,12 +54,7 @@ from jaxstab.scene.answers import (
     printed_wall,
 )
 from jaxstab.scene.check import Check, Margins, WallCheck, check_walls
-from jaxstab.scene.contact import (
-    Contacts,
-    contact_loop,
-    simulated_map,
-    walls_around,
-)
+from jaxstab.scene.contact import Contacts, contact_loop, simulated_map, walls_around
 from jaxstab.scene.gains import GainScene
 from jaxstab.scene.limits import LimitsOverDelays, passive_walls
 from jaxstab.scene.loops import (
@@ -415,11 +410,8 @@ def _passive(scene: Scene, loop: HapticLoop) -> _Area:
 def _set_window(panel: Axes, points: Floats) -> None:
     """Show some points (K, B), and a little more, whatever is drawn."""
     low, high = points.min(axis=0), points.max(axis=0)
-    (left, bottom), (right, top) = (
-        low - (0.04, 0.12) * (high - low),
-        high + (0.12, 0.06) * (high - low),
-    )
-    panel.set(xlim=(left, right), ylim=(bottom, top))
+    x, y = np.array([low - (0.04, 0.12) * (high - low), high + (0.12, 0.06) * (high - low)]).T
+    panel.set(xlim=x, ylim=y)
 
 
 def _draw_tuned(panel: Axes, tuned: Tuned, units: Units) -> None:
