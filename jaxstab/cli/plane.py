@@ -5,6 +5,7 @@ import shlex
 import sys
 from collections.abc import Iterable
 from decimal import ROUND_FLOOR, ROUND_HALF_EVEN
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,7 @@ from jaxstab.cli.options import (
 )
 from jaxstab.cli.scene import SceneCommand, scene_of, wall_option, warn
 from jaxstab.conventions import AXES, Verdict
+from jaxstab.shown import table_text
 from jaxstab.tables import columns_of
 
 if TYPE_CHECKING:
@@ -97,14 +99,8 @@ def verify(file: Path, sample: int) -> None:
 def _described(opened: "Atlas", file: Path) -> str:
     """The contents of an atlas, ending in a line to query it."""
     options = " ".join(f"--{name} {value:g}" for name, value in _example(opened).items())
-    lines = [
-        f"{file}: {file.stat().st_size / 1e6:.2f} MB",
-        repr(opened),
-        "",
-        "Query it with",
-        f"  jaxstab atlas query {shlex.quote(str(file))} {options}",
-    ]
-    return "\n".join(lines)
+    query = f"Query it with\n  jaxstab atlas query {shlex.quote(str(file))} {options}"
+    return f"{file}: {file.stat().st_size / 1e6:.2f} MB\n{opened!r}\n\n{query}"
 
 
 def _example(opened: "Atlas") -> dict[str, float]:
@@ -115,12 +111,8 @@ def _example(opened: "Atlas") -> dict[str, float]:
     low, high = table.beta_limits[0, 0, 0]
     alpha = table.alpha_limits[0, 0, 0, row].mean()
     beta = low + table.row[row] * (high - low)
-    wall = (
-        {"alpha": float(alpha), "beta": float(beta)}
-        if alpha == alpha
-        else dict.fromkeys(("alpha", "beta"), 0.1)
-    )
-    return wall | plant
+    wall = (alpha, beta) if isfinite(alpha) else (0.1, 0.1)
+    return {"alpha": float(wall[0]), "beta": float(wall[1])} | plant
 
 
 # The commands that ask an atlas and draw it.
@@ -307,9 +299,8 @@ def region(
         stated = {"inputs": inputs, "units": units, **facts}
         click.echo(json.dumps(stated, indent=1, allow_nan=False))
     else:
-        width = max(map(len, facts))
-        for name, value in facts.items():
-            click.echo(f"{name.replace('_', ' '):{width}}  {_fact(name, value)}")
+        rows = [(name.replace("_", " "), _fact(name, value)) for name, value in facts.items()]
+        click.echo(table_text(rows))
 
 
 def _fact(name: str, value: Any) -> str:

@@ -450,11 +450,7 @@ def check(as_json: bool, in_full: bool, certificate: Path | None, **given: Any) 
 @click.option("--frictions", help="LOW:HIGH:COUNT in N: its third axis.")
 @executor_options
 def contact(
-    as_json: bool,
-    output: Path | None,
-    count: int,
-    frictions: str | None,
-    **given: Any,
+    as_json: bool, output: Path | None, count: int, frictions: str | None, **given: Any
 ) -> int:
     """Simulate how the device of a scene meets each wall: does it rest, bounce or buzz?
 

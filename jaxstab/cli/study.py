@@ -93,14 +93,8 @@ def study(
         ((_, scene),) = tables_of(given).items()
         keep_programs()
         number, count = part or (1, 1)
-        planned = plan_study(
-            scene,
-            over,
-            answers=given["answers"],
-            samples=samples,
-            seed=seed,
-            part=(number, count),
-        )
+        asked: Any = {"answers": given["answers"], "samples": samples, "seed": seed}
+        planned = plan_study(scene, over, part=(number, count), **asked)
         table = planned.table
         if samples is not None and "sample" not in table.dims:
             raise click.UsageError(
