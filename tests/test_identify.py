@@ -461,5 +461,6 @@ def test_the_command_fits_a_servo_and_writes_its_scene(tmp_path: Path) -> None:
         refused = run("identify", log, *names[:4], *words)
         assert (refused.exit_code, refused.stdout) == (2, "")
         assert_one_sentence(refused.stderr)
+    assert "of --kp, --kd" in run("identify", log, "--kd", 0.6).stderr
     unread = run("identify", log, *gains, *names, "--velocity", "angle").stderr
     assert "--velocity is angle, which is not read beside --kp and --kd; leave it out." in unread

@@ -718,11 +718,8 @@ def identify(
     keep_programs()
     gains = {name: given.pop(name) for name in ("kp", "kd")}
     is_servo = None not in gains.values()
-    if (
-        is_servo == (gains["kp"] is None)
-        or (is_servo and spring)
-        or (window_samples is not None and not is_servo)
-    ):
+    servos = (window_samples, *gains.values())  # options that nothing else has
+    if spring if is_servo else servos != (None, None, None):
         raise click.UsageError(
             "of --kp, --kd and --window-samples some are missing, or there is --spring beside "
             "them; give --kp and --kd of a servo, without --spring, or none of them."
