@@ -1,6 +1,8 @@
 """Any polynomials: all roots inside, and the largest one, against fractions and mpmath."""
 
+from decimal import Decimal
 from fractions import Fraction
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -147,11 +149,19 @@ def test_coefficients_of_any_size_are_told_apart() -> None:
         ([[1.0, 2.0], [0.0, 1.0]], "first coefficient is 0"),
         ([1.0, np.nan], "not finite"),
         ([1.0, np.inf], "not finite"),
+        ([Fraction(1), Fraction(-4, 3), Fraction(1, 3)], "holds -4/3, which float64 rounds"),
+        ([2**53 + 1, 2**53], "holds 9007199254740993, which float64 rounds"),
+        (np.array([2**63 + 1, 1], np.uint64), "which float64 rounds"),
+        ([Decimal("0.1"), Decimal(1)], "holds 0.1, which float64 rounds"),
+        ([1, 1j], "give real numbers"),
+        ([1, 10**400], "give real numbers"),
+        (["1", "2"], "give real numbers"),
+        ([[1.0, 2.0], [1.0]], "give real numbers"),
     ],
 )
-def test_bad_coefficients_get_a_sentence(given: list[float], words: str) -> None:
+def test_bad_coefficients_get_a_sentence(given: Any, words: str) -> None:
     for question in (jaxstab.is_schur, jaxstab.radius):
-        with pytest.raises(ValueError, match=words):
+        with pytest.raises((TypeError, ValueError), match=words):
             question(given)
     with pytest.raises((TypeError, ValueError)):
         jaxstab.is_schur("1")  # type: ignore[arg-type]

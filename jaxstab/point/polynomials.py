@@ -22,6 +22,7 @@ from jaxstab.point.poles import companion_poles
 from jaxstab.point.radius import SpectralRadius, radius_error, with_status
 from jaxstab.point.schur_cohn import UNDERFLOW, Ends, polynomial_codes
 from jaxstab.rounding import SAFETY, UNIT
+from jaxstab.shown import shortened
 
 
 def is_schur(coefficients: Numbers) -> Int8[Array, "*grid"]:
@@ -36,8 +37,9 @@ def is_schur(coefficients: Numbers) -> Int8[Array, "*grid"]:
         they are. Of JAX arrays, what float64 leaves open is UNDECIDED: roots within about 1e-12 of
         the circle, or closer together, and polynomials whose first coefficient is 0.
 
-    Raises: ValueError for less than two coefficients, one that is not finite, and a first one of 0
-        (arrays of JAX apart); TypeError without float64, and for what is not a number.
+    Raises: ValueError for less than two coefficients, one that is not finite or that float64
+        rounds, and a first one of 0 (arrays of JAX apart); TypeError without float64, and for what
+        is not a number.
 
     Source: the criterion of Schur and Cohn (Jury 1964); lemmas V2, V4, V10 and E1 of
     docs/proofs.md.
@@ -92,7 +94,7 @@ def radius(coefficients: Numbers) -> SpectralRadius:
 
 def _checked(coefficients: Numbers) -> Float64[Array, "*grid coefficient"]:
     require_x64(coefficients)
-    (given,) = float_arrays(coefficients)
+    given = float_arrays(coefficients)[0] if is_any_jax(coefficients) else _floats(coefficients)
     if given.ndim == 0 or given.shape[-1] < 2:
         raise ValueError(
             f"coefficients have the shape {given.shape}; give (..., n + 1), n >= 1, the highest "
@@ -104,6 +106,29 @@ def _checked(coefficients: Numbers) -> Float64[Array, "*grid coefficient"]:
         raise ValueError("coefficients holds a number that is not finite; leave such ones out.")
     if np.any(given[..., 0] == 0.0):
         raise ValueError("the first coefficient is 0; give polynomials of one degree.")
+    return given
+
+
+def _floats(coefficients: Numbers) -> Float64[np.ndarray, "..."]:
+    """Numbers as the float64 that they are."""
+    try:
+        numbers = np.asarray(coefficients)
+        if numbers.dtype.kind not in "biufO":
+            raise TypeError  # complex numbers, text
+        given = numbers.astype(np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise TypeError(
+            f"coefficients is {shortened(coefficients)}; give real numbers that float64 holds, as "
+            "an array of shape (..., n + 1)."
+        ) from error
+    # Python compares a float64 with what is none exactly, NumPy with its own integers does not.
+    kept, real = (x if numbers.dtype.kind == "f" else x.astype(object) for x in (given, numbers))
+    is_rounded = np.isfinite(given) & (kept != real)
+    if np.any(is_rounded):
+        raise ValueError(
+            f"coefficients holds {numbers[is_rounded][0]}, which float64 rounds, and with it the "
+            "roots; round it yourself, or give fractions to jaxstab.Loop.from_coefficients."
+        )
     return given
 
 
