@@ -24,7 +24,7 @@ from jaxstab.model import LoopParameters
 from jaxstab.model.balls import ball_loop, ball_triple
 from jaxstab.model.device.sampling import late_cosines
 from jaxstab.model.parameters import LONGEST_DELAY, wall_grid
-from jaxstab.motion.moving_delays import Delays, Growth, growing_turn
+from jaxstab.motion.moving_delays import Delays, growing_turn
 from jaxstab.numbers import checked_number
 from jaxstab.rounding import EPS
 from jaxstab.shown import exact_text, shortened
@@ -115,15 +115,15 @@ class MovingLoop(NamedTuple):
         status = self._small_gain(stiffness, damping)
         if status == SmallGainStatus.PROVED:
             return Verdict.STABLE
-        is_unstable = status == SmallGainStatus.UNSTABLE
-        for delay in np.linspace(*self.ends, 5)[1:].tolist():
-            triple = partial(ball_triple, replace(self.loop, delay=delay))
-            is_unstable = is_unstable or (
-                wall_verdict(triple, stiffness, damping).verdict == Verdict.UNSTABLE
-            )
-        if is_unstable or self.worst(stiffness, damping)[1]:
-            return Verdict.UNSTABLE
-        return Verdict.UNDECIDED
+        wall = stiffness, damping
+        delays = np.linspace(*self.ends, 5)[1:].tolist()
+        triples = (partial(ball_triple, replace(self.loop, delay=delay)) for delay in delays)
+        is_unstable = (
+            status == SmallGainStatus.UNSTABLE
+            or any(wall_verdict(own, *wall).verdict == Verdict.UNSTABLE for own in triples)
+            or growing_turn(self.loop, wall, self.delays, is_thorough=False)[1]
+        )
+        return Verdict.UNSTABLE if is_unstable else Verdict.UNDECIDED
 
     def is_proved(self, stiffness: float, damping: float) -> bool:
         """True if a wall is proved for every sequence of delays."""
@@ -133,13 +133,6 @@ class MovingLoop(NamedTuple):
         late = partial(self.late_cosines, self.delays.jitter)
         return small_gain(partial(ball_loop, self.loop), late, stiffness, damping)
 
-    def worst(
-        self, stiffness: float, damping: float, *, is_thorough: bool = False
-    ) -> tuple[Growth, bool]:
-        """Return the worst turn of delays that a search found, and whether it is proved to grow."""
-        wall = stiffness, damping
-        return growing_turn(self.loop, wall, self.delays, is_thorough=is_thorough)
-
     def verdict(self, stiffness: Numbers, damping: Numbers) -> Int8[Array, "*grid"]:
         """Return the verdicts on walls: ``HapticLoop.verdict``."""
         return named(each_wall(self.code, np.int8, stiffness, damping), Verdict)
@@ -147,7 +140,7 @@ class MovingLoop(NamedTuple):
     def worst_delays(self, stiffness: float, damping: float) -> WorstDelays:
         """Return the worst delays that a search found: ``HapticLoop.worst_delays``."""
         gains = checked_number("stiffness", stiffness), checked_number("damping", damping)
-        growth, is_proved = self.worst(*gains, is_thorough=True)
+        growth, is_proved = growing_turn(self.loop, gains, self.delays, is_thorough=True)
         turn = tuple(delay * float(self.loop.sample_time) for delay in growth.turn)
         return WorstDelays(turn, growth.per_sample, is_proved)
 

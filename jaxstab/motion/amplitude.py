@@ -175,12 +175,6 @@ def _checked_disturbances(
     return _Sizes(resolution, (0.5 * resolution + extra, 0.5 * step, rubbing))
 
 
-def _causes(sizes: _Sizes) -> Causes:
-    """True for each cause that is present."""
-    position, force, friction = (is_traced(x) or bool(np.any(x)) for x in sizes.causes)
-    return position, force, friction
-
-
 def _answered(
     kind: type[Kind],
     loop_of: Callable[..., LoopParameters | None],
@@ -190,7 +184,8 @@ def _answered(
     controller: Controller,
 ) -> Kind:
     """The sums of the bounds of all causes, infinite where one is not proved."""
-    causes = _causes(sizes)
+    position, force, friction = (is_traced(x) or bool(np.any(x)) for x in sizes.causes)
+    causes = position, force, friction  # that are present
 
     def ask(loop: LoopParameters, stiffness: float, damping: float) -> np.ndarray:
         return _bounds(loop, stiffness, damping, causes).ravel()

@@ -30,6 +30,7 @@ from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Array, Numbers, float_arrays
 from jaxstab.model import checked_delay, checked_delta, checked_gain, checked_gamma, require_x64
+from jaxstab.model.parameters import wall_grid
 from jaxstab.model.plant import PlantCoefficients, plant_pairs
 from jaxstab.numbers import checked_number
 from jaxstab.region.closed_form import slice_coefficients
@@ -245,8 +246,7 @@ class PassiveRegion:
         """True where (alpha, beta) is proved passive; each wall is tested anew."""
         from jaxstab.exact.small_gain import is_passive
 
-        gains = checked_gain("alpha", alpha), checked_gain("beta", beta)
-        grid = np.stack(np.broadcast_arrays(*(np.asarray(g, np.float64) for g in gains)), axis=-1)
+        grid = wall_grid(alpha=alpha, beta=beta)
         walls = grid.reshape(-1, 2)
         inside = (walls[:, 0] >= 0.0) & (self.delta > 0.0)
         # Some angle refutes most walls, and the polygon holds most others, for the set is convex.
