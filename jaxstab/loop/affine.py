@@ -320,15 +320,12 @@ class Loop(TwoGains):
         region = self.region()
         main = region.main or region
         if not region.components:
-            nothing = [GainLimit(gain, np.nan, np.nan) for gain in self.gains]
-            return GainLimits(nothing[0], nothing[1], region.status, is_reachable=False)
-        is_own = self.coordinates == self.gains
-        found = main.extremes if is_own else self._in_rows(main)
-        limits = [
-            GainLimit(gain, float(point[axis]), float(point[1 - axis]))
-            for axis, (gain, point) in enumerate(zip(self.gains, found, strict=True))
-        ]
-        return GainLimits(limits[0], limits[1], region.status, region.main is not None)
+            found: Any = np.full((2, 2), np.nan)
+        else:
+            found = main.extremes if self.coordinates == self.gains else self._in_rows(main)
+        first, second = np.array(found).tolist()
+        limits = GainLimit(self.gains[0], *first), GainLimit(self.gains[1], *second[::-1])
+        return GainLimits(*limits, region.status, region.main is not None)
 
     def _in_rows(self, main: GainRegion) -> list[Float64[np.ndarray, "2"]]:
         """The extreme gains >= 0 of an outline in other coordinates, as ends of proved rows.

@@ -334,10 +334,6 @@ class Walls(NamedTuple):
             return True
         return bool(linear_spectral_radius(wall[0], wall[1], self.linear).value < 1.0)
 
-    def anywhere(self) -> "Walls":
-        """The same walls, for a search of all gains."""
-        return self._replace(main=None)
-
     def holds(self, alpha: np.ndarray, beta: np.ndarray) -> Bool[np.ndarray, "*grid"]:
         """True for the stable gains that are searched: those inside of the component."""
         is_wall = self.are_searched(alpha, beta)
@@ -572,7 +568,7 @@ def _best_damping(walls: Walls, alpha: float) -> Best:
     best = _on_line(walls, axes, below=1.0)
     if best.radius < 1.0:
         return best._replace(status=walls.status or best.status)
-    best = _on_line(walls.anywhere(), axes, below=1.0)
+    best = _on_line(walls._replace(main=None), axes, below=1.0)
     if best.radius < 1.0:
         return best._replace(status=TuningStatus.ISLAND)
     return _on_line(walls, axes, below=np.inf)._replace(status=TuningStatus.NO_STABLE_GAINS)

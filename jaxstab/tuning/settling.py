@@ -117,7 +117,7 @@ def shortest_settling(
     if status == TuningStatus.NO_STABLE_GAINS or not isfinite(samples):
         return found_gains(wall, np.inf, status)
     if status in (TuningStatus.ISLAND, TuningStatus.ANY_COMPONENT):
-        loop = loop._replace(walls=loop.walls.anywhere())
+        loop = loop._replace(walls=loop.walls._replace(main=None))
     else:
         status = TuningStatus.SCANNED
     best = _fewest_samples(loop, start, alpha, level, excitation, int(samples))
