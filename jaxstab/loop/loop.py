@@ -687,20 +687,14 @@ class HapticLoop(LoopParameters, TwoGains):
             '6.3e-06 m, 0.24 N'
         """
         self._refuse_tracers("amplitude")
+        sizes = {"encoder": encoder, "force_step": force_step, "friction": friction, "noise": noise}
         if self.device is not None and self.body is None:
-            causes = {"encoder": encoder, "force_step": force_step, "friction": friction}
-            causes["noise"] = noise
-            return motion.loop_amplitude(self.in_floats(), stiffness, damping, **causes)
+            return motion.loop_amplitude(self.in_floats(), stiffness, damping, **sizes)
         unit = self.mass / self.sample_time**2  # N that are 1 where 1 m is
-        amplitude = motion.amplitude(
-            *scaled(self, stiffness, damping),
-            **self.slice,
-            encoder=checked("encoder", encoder, 0.0),
-            force_step=checked("force_step", force_step, 0.0) / unit,
-            friction=checked("friction", friction, 0.0) / unit,
-            noise=checked("noise", noise, 0.0),
-            **self.filters,
-        )
+        sizes = {name: checked(name, size, 0.0) for name, size in sizes.items()}
+        sizes |= {name: sizes[name] / unit for name in ("force_step", "friction")}
+        alpha, beta = scaled(self, stiffness, damping)
+        amplitude = motion.amplitude(alpha, beta, **self.slice, **sizes, **self.filters)
         return motion.WallAmplitude(
             amplitude.position, amplitude.velocity / self.sample_time, amplitude.force * unit,
             amplitude.force_per_count * unit, amplitude.status,
