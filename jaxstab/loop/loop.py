@@ -490,16 +490,13 @@ class HapticLoop(LoopParameters, TwoGains):
             >>> loop.verdict(20000.0, 60.0, delays=(0.0, 0.2e-3))
             <Verdict.STABLE: 1>
         """
+        checked_word("resolve", resolve or "exact", ("exact",))
         if delays is not None or lost:
-            checked_word("resolve", resolve or "exact", ("exact",))
-            return self._moving("verdict with delays", delays, lost).verdict(stiffness, damping)
+            return self._moving(delays, lost).verdict(stiffness, damping)
         if found := measured(self):
             return found.verdict(stiffness, damping)
         pair = {"stiffness": stiffness, "damping": damping}
         grid = self._few(pair)
-        if grid is not None or self.body is None:
-            checked_word("resolve", resolve or "exact", ("exact",))
-            resolve = None
         if grid is not None:
             return self._verdicts(grid)
         return named(self._on_grid("verdict", pair, resolve=resolve), Verdict)
