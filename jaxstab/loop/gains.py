@@ -261,7 +261,6 @@ class TwoGains:
             >>> loop.plot().get_xlabel(), loop.plot("bode", kp=1000.0, kd=20.0).get_xlabel()
             ('kp (N m/rad)', 'frequency (Hz)')
         """
-        self._refuse_many("plot")
         from jaxstab.loop.frequency import plot
 
         return plot(self, kind, wall, gains, ax)
@@ -284,7 +283,6 @@ class TwoGains:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
             >>> loop.to_control(1000.0, 10.0).dt  # doctest: +SKIP
         """
-        self._refuse_many("to_control")
         pair = self._named(wall, gains)
         first, second = self._in_units(*(checked_number(*gain) for gain in pair.items()))
         try:
@@ -333,9 +331,6 @@ class TwoGains:
     def _verdicts(self, grid: Float64[np.ndarray, "*grid 2"]) -> Any:
         codes = np.array(_each(grid, self._verdict), np.int8)
         return named(codes.reshape(grid.shape[:-1]), Verdict)
-
-    def _refuse_many(self, method: str) -> None:
-        """Refuse a loop that is not one of concrete numbers."""
 
 
 def _each(

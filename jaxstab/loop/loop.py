@@ -162,7 +162,7 @@ class HapticLoop(LoopParameters, TwoGains):
             True
         """
         if delays is not None or lost:
-            return self._moving("limits with delays", delays, lost).limits()
+            return self._moving(delays, lost).limits()
         if found := measured(self):
             return found.limits()
         if is_any_traced(self):
@@ -241,7 +241,6 @@ class HapticLoop(LoopParameters, TwoGains):
         return self.intervals(stiffness=stiffness)
 
     def _line(self, start: tuple[float, float], along: tuple[float, float]) -> "StableLine":
-        self._refuse_many("intervals")
         found = measured(self)
         return found.line(start, along) if found else super()._line(start, along)
 
@@ -278,7 +277,6 @@ class HapticLoop(LoopParameters, TwoGains):
             >>> f"{1e3 * loop.range_of('delay', 1000.0, 10.0).largest:.6f} ms"
             '7.136955 ms'
         """
-        self._refuse_many("range_of")
         from jaxstab.loop.backwards import range_of
 
         wall = Gains(*map(checked_number, ("stiffness", "damping"), (stiffness, damping)))
@@ -356,7 +354,6 @@ class HapticLoop(LoopParameters, TwoGains):
             >>> print(f"settles in {1e3 * loop.tune().settling_time:.0f} ms")
             settles in 6 ms
         """
-        self._refuse_many("tune")
         from jaxstab.loop.tune import checked_chatter, optimal_wall
 
         disturbed = checked_chatter(encoder, chatter)
@@ -403,7 +400,6 @@ class HapticLoop(LoopParameters, TwoGains):
             >>> loop.worst_hand(hands, 1000.0, 10.0).verdict.name
             'STABLE'
         """
-        self._refuse_many("worst_hand")
         wall = (checked_number("stiffness", stiffness), checked_number("damping", damping))
         from jaxstab.loop.hands import LoopsWithHands
 
@@ -442,7 +438,6 @@ class HapticLoop(LoopParameters, TwoGains):
             >>> loop.robust_limit(jaxstab.HandRange(mass=(0.0, 1.0))).is_proved
             True
         """
-        self._refuse_many("robust_limit")
         from jaxstab.loop.hands import LoopsWithHands
 
         return LoopsWithHands.from_loop(self, hands, mass, delay, delays, lost).robust_limit()
@@ -559,13 +554,12 @@ class HapticLoop(LoopParameters, TwoGains):
             >>> print(f"{1e3 * loop.jitter_margin(1000.0, 20.0):.2f} of {1e3 * constant:.2f} ms")
             4.21 of 5.76 ms
         """
-        self._refuse_many("jitter_margin")
         from jaxstab.loop.jitter import each_wall, jitter_margin
 
         if hands is None:
             if mass is not None:
                 raise TypeError(f"mass is {mass} without hands; give hands=jaxstab.HandRange().")
-            return jitter_margin(self, stiffness, damping)
+            return jitter_margin(self.in_floats(), stiffness, damping)
         from jaxstab.loop.hands import LoopsWithHands
 
         with_hands = LoopsWithHands.from_loop(self, hands, mass, None, (self.delay,) * 2, 0)
@@ -597,7 +591,7 @@ class HapticLoop(LoopParameters, TwoGains):
             >>> loop.worst_delays(6669.1, 71.60, delays=(0.0, 1e-3)).delays
             (0.0, 0.001, 0.001, 0.001)
         """
-        return self._moving("worst_delays", delays, lost).worst_delays(stiffness, damping)
+        return self._moving(delays, lost).worst_delays(stiffness, damping)
 
     def settling_time(
         self,
@@ -748,7 +742,8 @@ class HapticLoop(LoopParameters, TwoGains):
             >>> f"{1e3 * response.position.max():.3f} mm deep"
             '0.372 mm deep'
         """
-        self._refuse_many("simulate")
+        self._refuse_tracers("simulate")
+        refuse_arrays(self)
         options: dict[str, Any] = {
             "samples": samples, "force": force, "initial_velocity": initial_velocity,
             "initial_position": initial_position, "between": between, "unilateral": unilateral,
@@ -838,11 +833,10 @@ class HapticLoop(LoopParameters, TwoGains):
         )  # fmt: skip
 
     def _frequency_margins(self, first: Numbers, second: Numbers) -> "FrequencyMargins":
-        self._refuse_many("frequency_margins")
-        found = measured(self)
-        if found:
+        if found := measured(self):
             return found.frequency_margins(first, second)
-        return super()._frequency_margins(first, second)
+        plain: Any = self.in_floats()
+        return TwoGains._frequency_margins(plain, first, second)
 
     def _triple(self) -> "Triple":
         return ball_triple(self.in_floats())
@@ -871,16 +865,10 @@ class HapticLoop(LoopParameters, TwoGains):
         answer = getattr(point, question)
         return answer(*scaled(self, *pair.values()), **self.slice, **options, **self.filters)
 
-    def _moving(self, method: str, delays: Range | None, lost: int) -> "MovingLoop":
-        self._refuse_many(method)
+    def _moving(self, delays: Range | None, lost: int) -> "MovingLoop":
         from jaxstab.loop.jitter import MovingLoop
 
         return MovingLoop.from_loop(self, delays, lost)
-
-    def _refuse_many(self, method: str) -> None:
-        """Refuse a loop that is not one of concrete numbers."""
-        self._refuse_tracers(method)
-        refuse_arrays(self)
 
     def _refuse_tracers(self, method: str) -> None:
         """Refuse a loop that JAX traces: the method searches outside of JAX."""
