@@ -607,21 +607,22 @@ def unit_loops(
 
 
 def asked_of_lanes(
-    ask: Callable[[LoopParameters, float, float], Any],
+    ask: Callable[..., Any],
     loop_of: Callable[..., LoopParameters | None],
     lanes: Sequence[Array],
     count: int,
     *,
     is_count: bool,
+    gains: int = 2,
 ) -> tuple[Array, ...]:
-    """So many numbers that are asked of a loop and two gains, for lanes of gains and of loops.
+    """So many numbers that are asked of a loop and some gains, for lanes of gains and of loops.
 
     NaN where there is no loop; ``is_count`` as of ``on_host``.
     """
 
-    def of_lane(stiffness: float, damping: float, *plant: float) -> Any:
-        loop = loop_of(*plant)
-        return np.full(count, np.nan) if loop is None else ask(loop, stiffness, damping)
+    def of_lane(*lane: float) -> Any:
+        loop = loop_of(*lane[gains:])
+        return np.full(count, np.nan) if loop is None else ask(loop, *lane[:gains])
 
     def search(*own: np.ndarray) -> tuple[np.ndarray, ...]:
         columns = np.array([np.ravel(lane) for lane in own]).T.tolist()

@@ -24,12 +24,12 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
 from jaxstab.arrays import Array, Numbers, constant, float_arrays, namespace, take
-from jaxstab.batches import on_host
 from jaxstab.conventions import Status, Verdict
 from jaxstab.model import checked_delay, checked_delta, checked_gain, checked_gamma, require_x64
-from jaxstab.model.filters import NO_FILTERS, Filter, Filters, Velocity, as_keywords, known_filters
+from jaxstab.model.filters import NO_FILTERS, Filter, Velocity, known_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
-from jaxstab.model.loop import LoopParameters, unit_loop
+from jaxstab.model.loop import LoopParameters
+from jaxstab.motion.response import asked_of_lanes, unit_loops
 from jaxstab.numbers import checked_number
 from jaxstab.point import linear_spectral_radius, linear_verdict
 from jaxstab.region import RegionStatus, StableRegion
@@ -619,7 +619,7 @@ def minimize_radius(
         >>> round(float(best.beta), 4), round(float(best.value), 4)
         (0.3203, 0.823)
     """
-    require_x64(gamma, delta, *(() if alpha is None else (alpha,)))
+    require_x64(gamma, delta, alpha)
     checked_delay(delay)
     if alpha is not None:
         alpha = checked_number("alpha", checked_gain("alpha", alpha))
@@ -627,27 +627,20 @@ def minimize_radius(
     filters = known_filters(velocity, position)
     gamma, delta = float_arrays(checked_gamma(gamma), checked_delta(delta))
     xp = namespace(gamma, delta)
-    plants = xp.broadcast_arrays(gamma, delta)
-    search = partial(_searched, delay=delay, filters=filters, alpha=alpha)
-    like = (np.float64,) * 4 + (np.int8,)
-    *fields, kind = on_host(search, *plants, shape=plants[0].shape, like=like)
+    gamma, delta = xp.broadcast_arrays(gamma, delta)
+
+    def ask(loop: LoopParameters) -> tuple[Array, ...]:
+        found = smallest_radius(walls_of(loop), alpha)
+        return *found.pair, found.status
+
+    lanes, loop_of = (gamma, delta, delay), unit_loops(velocity, position)
+    *fields, kind = asked_of_lanes(ask, loop_of, lanes, 5, is_count=True, gains=0)
     best = Pair(*fields)
     if xp is not np:
-        loop = filtered_loop(plants[0], plants[1], int(delay), delay % 1.0, filters or NO_FILTERS)
+        loop = filtered_loop(gamma, delta, int(delay), delay % 1.0, filters or NO_FILTERS)
         best = _followed(family_of_loop(loop), best, kind)
-    return OptimalGains(best.alpha, best.beta, xp.hypot(best.x, best.y), kind)
-
-
-def _searched(
-    gamma: Array, delta: Array, *, delay: float, filters: Filters | None, alpha: float | None
-) -> tuple[Array, ...]:
-    """Return alpha, beta, x and y of the best pairs of plants, and how each is known."""
-    plants = zip(gamma.ravel().tolist(), delta.ravel().tolist(), strict=True)
-    loops = (unit_loop(*plant, delay, **as_keywords(filters)) for plant in plants)
-    best = [smallest_radius(walls_of(loop), alpha) for loop in loops]
-    pairs = np.array([each.pair for each in best]).reshape(-1, 4).T
-    kinds = np.array([each.status for each in best], np.int8)
-    return *(column.reshape(gamma.shape) for column in pairs), kinds.reshape(gamma.shape)
+    value = xp.hypot(best.x, best.y)
+    return OptimalGains(best.alpha, best.beta, value, kind.astype(np.int8))
 
 
 @lru_cache(maxsize=64)
