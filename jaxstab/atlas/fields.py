@@ -118,13 +118,7 @@ def _stable_box(
     # a region may extend further; the margin of the axes covers that.
     points = []
     for hand in product(_thinned(gamma), _thinned(delta)):
-        region = stable_region(
-            gamma=hand[0],
-            delta=hand[1],
-            delay=delay,
-            tolerance=fineness,
-            **as_keywords(filters),
-        )
+        region = stable_region(**by_name(*hand, delay), tolerance=fineness, **as_keywords(filters))
         if region.status == RegionStatus.UNRESOLVED:
             raise ValueError(
                 f"no axis can be laid around the region at gamma {hand[0]:g}, delta {hand[1]:g}, "

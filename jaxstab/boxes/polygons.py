@@ -14,14 +14,7 @@ from jaxtyping import Bool, Float64, Int8, Int64
 
 from jaxstab.arrays import Numbers
 from jaxstab.boxes.hands import HandRange, unproved_members
-from jaxstab.boxes.search import (
-    NOTHING,
-    Guess,
-    Points,
-    RobustStatus,
-    search,
-    verdicts_of_range,
-)
+from jaxstab.boxes.search import NOTHING, Guess, Points, RobustStatus, search, verdicts_of_range
 from jaxstab.conventions import Range, Verdict
 from jaxstab.model import by_name, checked_delay, checked_delta, checked_gamma
 from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, known_filters
@@ -174,14 +167,8 @@ class _Sample:
         for hand in hands:
             if not np.any(np.all(self.hands == hand, axis=1)):
                 self.hands = np.concatenate([self.hands, hand[None]])
-                gamma, delta = map(float, hand)
-                region = stable_region(
-                    gamma=gamma,
-                    delta=delta,
-                    delay=self.range[2],
-                    tolerance=outline_tolerance,
-                    **as_keywords(self.filters),
-                )
+                own = by_name(*hand.tolist(), self.range[2]) | as_keywords(self.filters)
+                region = stable_region(**own, tolerance=outline_tolerance)
                 if region.status != RegionStatus.UNRESOLVED:  # the proof covers this hand too
                     self.regions.append(reachable(region, self.filters))
         return len(self.hands) > before

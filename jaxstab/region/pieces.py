@@ -344,14 +344,10 @@ def _stops(c: Curve) -> Iterator[_Stop]:
     """Both ends of each straight part, one after the other: that of number k has another, k ^ 1."""
     for number, line in enumerate(c.lines):
         for interval in line.line.intervals:
+            angles = (nan if end.is_shared else end.angle for end in interval)
             low, high = (
-                _Stop(
-                    number,
-                    nan if end.is_shared else end.angle,
-                    end.angle_rest,
-                    line.wall(end.value),
-                )
-                for end in interval
+                _Stop(number, angle, end.angle_rest, line.wall(end.value))
+                for angle, end in zip(angles, interval, strict=True)
             )
             yield low
             if interval.low.value < line.turn < interval.high.value:
