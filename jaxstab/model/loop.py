@@ -107,16 +107,13 @@ class LoopParameters:
                     chain.checked(period)
 
     def __repr__(self) -> str:
-        given = {field.name: getattr(self, field.name) for field in fields(self)}
-        defaults = {field.name: field.default for field in fields(self)}
-        return call_text(
-            type(self).__name__,
-            {
-                name: value
-                for name, value in given.items()
-                if is_jax(value) or np.ndim(value) or value != defaults[name]
-            },
-        )
+        given = ((field, getattr(self, field.name)) for field in fields(self))
+        changed = {
+            field.name: value
+            for field, value in given
+            if is_jax(value) or np.ndim(value) or value != field.default
+        }
+        return call_text(type(self).__name__, changed)
 
     def __dir__(self) -> list[str]:
         for_computing = {"body", "filters", "held_device", "in_floats", "linear"}

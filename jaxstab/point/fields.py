@@ -204,16 +204,13 @@ def poles_outside(columns: list[Array], error: Array) -> Array:
         lead, last = rows[0] * scale, turned[0] * scale
         is_turned = abs(last) > abs(lead)
         lost = scale * size * (state.lost + 4.0 * UNIT * sizes) + UNDERFLOW
-        return (
-            lead,
-            last,
-            _Count(
-                xp.where(abs(last) == abs(lead), xp.inf, lost),
-                state.degree - 1.0,
-                xp.where(is_turned, state.count + state.sign * state.degree, state.count),
-                xp.where(is_turned, -state.sign, state.sign),
-            ),
+        counted = _Count(
+            xp.where(abs(last) == abs(lead), xp.inf, lost),
+            state.degree - 1.0,
+            xp.where(is_turned, state.count + state.sign * state.degree, state.count),
+            xp.where(is_turned, -state.sign, state.sign),
         )
+        return lead, last, counted
 
     def step(state: tuple[Array, Array, _Count]) -> tuple[Array, Array, _Count]:
         rows, turned, counted = state

@@ -76,14 +76,13 @@ def evaluate_grid(
     arguments = [np.asarray(value, np.float64) for value in (alpha, beta, gamma, delta, delay)]
     shape = np.broadcast_shapes(*(argument.shape for argument in arguments))
     total = math.prod(shape)
-    ranges = (slice(start, min(start + chunk, total)) for start in range(0, total, chunk))
-    return (
-        (
-            points,
-            function(**by_name(*looked_up(arguments, shape, np.arange(points.start, points.stop)))),
-        )
-        for points in ranges
-    )
+
+    def evaluated_part(start: int) -> tuple[slice, Result]:
+        end = min(start + chunk, total)
+        points = looked_up(arguments, shape, np.arange(start, end))
+        return slice(start, end), function(**by_name(*points))
+
+    return map(evaluated_part, range(0, total, chunk))
 
 
 def looked_up(

@@ -299,19 +299,14 @@ def spectral_radius(
         coefficients = characteristic_polynomial(**by_name(*arguments), **as_keywords(filters))
         value, error = _traced_radius(coefficients, is_summed=filters is not None)
         return _believed(value, error, gamma, delta)
-    checked_arguments = (
-        checked_gain("alpha", alpha),
-        checked_gain("beta", beta),
-        checked_gamma(gamma),
-        checked_delta(delta),
-        checked_delay(delay),
-    )
+    gains = checked_gain("alpha", alpha), checked_gain("beta", beta)
+    parameters = (*gains, checked_gamma(gamma), checked_delta(delta))
+    samples = checked_delay(delay)
     is_fast, xp = method == "fast" and not filters, namespace(arguments)
     # Many points of one delay stay where JAX has them; other questions are NumPy's.
-    shape = np.broadcast_shapes(*map(np.shape, checked_arguments))
-    own = xp if is_fast and _is_for_many(shape, checked_arguments[-1]) else np
-    points = [own.asarray(value, np.float64) for value in checked_arguments[:-1]]
-    points.append(np.asarray(checked_arguments[-1], np.float64))
+    shape = np.broadcast_shapes(samples.shape, *map(np.shape, parameters))
+    own = xp if is_fast and _is_for_many(shape, samples) else np
+    points = [*(own.asarray(value, np.float64) for value in parameters), samples]
     if filters:
         both = filtered_radius(Points(*points), filters)
     else:

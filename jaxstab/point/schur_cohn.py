@@ -323,9 +323,7 @@ def polynomial_codes(
     given = len(leading(coefficients))
     width = given if given > degree else (given + 1) // 2
     is_unrolled = xp is not np and degree <= highest_unrolled
-    columns: Any = (
-        tuple(map(coefficients.__getitem__, range(given))) if is_unrolled else coefficients
-    )
+    columns: Any = tuple(coefficients[k] for k in range(given)) if is_unrolled else coefficients
     state = _State(
         *_ends(columns, width),
         error,

@@ -508,15 +508,8 @@ def _corners(
     for _ in range(steps):
         (alpha, beta), (alpha_slope, beta_slope) = gains_and_slopes(c, here)
         across, along = alpha[0] - alpha[1], beta[0] - beta[1]
-        turn = beta_slope[0] * alpha_slope[1] - alpha_slope[0] * beta_slope[1]
-        turn = nonzero(turn, np.inf)
-        step = np.stack(
-            [
-                alpha_slope[1] * along - beta_slope[1] * across,
-                alpha_slope[0] * along - beta_slope[0] * across,
-            ]
-        )
-        step = np.nan_to_num(step / turn)
+        turn = nonzero(beta_slope[0] * alpha_slope[1] - alpha_slope[0] * beta_slope[1], np.inf)
+        step = np.nan_to_num((alpha_slope[::-1] * along - beta_slope[::-1] * across) / turn)
         here = here - step
         if np.all(np.abs(step) <= UNIT * np.abs(here)):
             break
