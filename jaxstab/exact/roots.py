@@ -110,13 +110,12 @@ def poles(triple: TripleAt, stiffness: float, damping: float) -> Poles:
 
 def isolated_roots(p: Factored) -> "list[acb] | None":
     """The roots in balls, those that the structure knows exactly; None where they overlap."""
+    p = p.without_windows()
     known = [flint.acb(0)] * p.power
     known += [flint.acb(1)] * p.at_one + [flint.acb(-1)] * p.at_minus_one
-    rest = p.without_windows()
-    known += [flint.acb(-1)] * (rest.at_minus_one - p.at_minus_one)
-    if rest.rest.degree() < 1:
+    if p.rest.degree() < 1:
         return known
-    found = _isolated(rest.rest)
+    found = _isolated(p.rest)
     return None if found is None else known + found
 
 

@@ -191,18 +191,13 @@ def components_of(c: Curve, outline: Outline) -> list[Outline]:
     parts = [_loop(outline, start, end) for start, end in loop_ends(outline)]
     if len(parts) == 1:
         return parts
-    loops = [(loop, polygon_area(loop)) for loop in parts]
-    holes = [pair for pair in loops if pair[1] <= 0.0]
-    groups = [
-        [outer, *(hole for hole in holes if measures.holds(c, outer[0], hole[0].vertices[0]))]
-        for outer in loops
-        if outer[1] > 0.0
+    holes = [loop for loop in parts if polygon_area(loop) <= 0.0]
+    components = [
+        _joined([outer, *(hole for hole in holes if measures.holds(c, outer, hole.vertices[0]))])
+        for outer in parts
+        if polygon_area(outer) > 0.0
     ]
-    whole = [
-        (_joined([loop for loop, _ in group]), sum(area for _, area in group)) for group in groups
-    ]
-    whole.sort(key=lambda pair: (not holds_small_gains(c, pair[0]), -pair[1]))
-    return [component for component, _ in whole]
+    return sorted(components, key=lambda x: (not holds_small_gains(c, x), -polygon_area(x)))
 
 
 def holds_small_gains(c: Curve, outline: Outline) -> bool:

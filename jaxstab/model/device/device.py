@@ -464,17 +464,12 @@ class Device:
 
     def one_mass(self) -> MassSpringDamper | None:
         """Device and hands as one mass if rigidly attached and without actuators, else None."""
-        systems: list[Any] = [self.mechanism]
-        for hand in self.hands:
-            systems.append(hand.dynamics if hand.grip is None else None)
-        bodies = [system for system in systems if isinstance(system, MassSpringDamper)]
-        if self.bandwidths or len(bodies) < len(systems):
+        systems = [self.mechanism, *(hand.dynamics for hand in self.hands)]
+        if self.bandwidths or any(hand.grip for hand in self.hands):
             return None
-        return MassSpringDamper(
-            sum(body.mass for body in bodies),
-            sum(body.damping for body in bodies),
-            sum(body.stiffness for body in bodies),
-        )
+        if not all(isinstance(system, MassSpringDamper) for system in systems):
+            return None
+        return MassSpringDamper(*map(sum, zip(*(vars(x).values() for x in systems), strict=True)))
 
     def require_handle(self) -> None:
         """Refuse a device whose handle is not known.
