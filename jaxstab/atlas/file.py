@@ -467,22 +467,16 @@ def read_all(group: h5py.Group, variables: Sequence[Variable]) -> dict[str, Arra
     datasets = {v.name: checked_dataset(group, v) for v in variables}
     lengths = {v.name: datasets[v.name].shape[0] for v in variables if v.is_axis}
     for variable in variables:
-        shape = tuple(lengths[name] for name in variable.dimensions)
-        check(datasets[variable.name].shape == _with_cells(shape, variable, lengths), variable.name)
+        check(datasets[variable.name].shape == _shape_of(variable, lengths), variable.name)
     if "end" in lengths:
         check(lengths["end"] == 2 and lengths["row"] >= 2, "row")
     return {v.name: _checked_values(v, datasets[v.name][()]) for v in variables}
 
 
-def _with_cells(
-    shape: tuple[int, ...], variable: Variable, lengths: Mapping[str, int]
-) -> tuple[int, ...]:
-    """Return a shape in which an axis of cells is as long as its nodes demand."""
-    nodes = [dimension.removesuffix("_cell") for dimension in variable.dimensions]
-    return tuple(
-        max(lengths[own] - 1, 1) if own != dimension else length
-        for length, own, dimension in zip(shape, nodes, variable.dimensions, strict=True)
-    )
+def _shape_of(variable: Variable, lengths: Mapping[str, int]) -> tuple[int, ...]:
+    """The shape that lengths of axes demand; an axis of cells is as long as its nodes allow."""
+    axes = [(own, own.removesuffix("_cell")) for own in variable.dimensions]
+    return tuple(lengths[x] if own == x else max(lengths[x] - 1, 1) for own, x in axes)
 
 
 def checked_dataset(group: h5py.Group, variable: Variable) -> h5py.Dataset:
