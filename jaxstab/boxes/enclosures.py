@@ -206,11 +206,8 @@ def phasor(phase: LinearModel) -> LinearModel:
     them.
     """
     centre = np.exp(-1j * phase.centre)
-    rest = (
-        0.5 * (phase.swing - phase.rest) ** 2
-        + phase.rest
-        + ELEMENTARY * (1.0 + np.abs(phase.centre))
-    )
+    rest = 0.5 * (phase.swing - phase.rest) ** 2 + phase.rest
+    rest = rest + ELEMENTARY * (1.0 + np.abs(phase.centre))
     is_known = phase.swing < 1.0
     hint = _HINT * phase.slope / np.maximum(phase.swing, 1.0)
     slope = np.where(is_known, -1j * centre * phase.slope, hint)

@@ -297,8 +297,8 @@ def spectral_radius(
     filters = given_filters(velocity, position)
     if is_any_traced(arguments, filters):
         coefficients = characteristic_polynomial(**by_name(*arguments), **as_keywords(filters))
-        value, error = _traced_radius(coefficients, is_summed=filters is not None)
-        return _believed(value, error, gamma, delta)
+        traced = _traced_radius(coefficients, is_summed=filters is not None)
+        return _believed(*traced, gamma, delta)
     gains = checked_gain("alpha", alpha), checked_gain("beta", beta)
     parameters = (*gains, checked_gamma(gamma), checked_delta(delta))
     samples = checked_delay(delay)

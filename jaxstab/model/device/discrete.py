@@ -153,20 +153,16 @@ class Discrete(InSteps):
         sides: Any = _exact(self.system)
         if len(sides) == 4:
             a, b, c, d = sides
-            rows = zip(c, d, strict=True)
-            return (
-                flint.fmpq_mat(a),
-                flint.fmpq_mat(b),
-                [(flint.fmpq_mat([row]), direct) for row, (direct,) in rows],
-            )
+            outputs = [(flint.fmpq_mat([row]), own) for row, (own,) in zip(c, d, strict=True)]
+            return flint.fmpq_mat(a), flint.fmpq_mat(b), outputs
         above, below = (flint.fmpq_poly(side[::-1]) / sides[1][0] for side in sides)
         direct, rest = divmod(above, below)
         order = below.degree()
         move = [[int(k == row + 1) for k in range(order)] for row in range(order - 1)]
         move.append([-below[k] for k in range(order)])
         push = [[int(row == order - 1)] for row in range(order)]
-        row = flint.fmpq_mat([[rest[k] for k in range(order)]])
-        return flint.fmpq_mat(move), flint.fmpq_mat(push), [(row, direct[0])]
+        outputs = [(flint.fmpq_mat([[rest[k] for k in range(order)]]), direct[0])]
+        return flint.fmpq_mat(move), flint.fmpq_mat(push), outputs
 
 
 def _exact(numbers: Any) -> Any:
