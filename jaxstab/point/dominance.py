@@ -10,7 +10,7 @@ Sources: Schur (1917), Cohn (1922); Henrici, Applied and Computational Complex A
 the distance.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial, reduce
 from math import ceil, prod
 from operator import add
@@ -428,6 +428,7 @@ _STEADY = 512  # points of an axis that differ by little from their neighbours
 
 Indices = Int64[np.ndarray, " point"]
 Answer = tuple[Array, Array]  # value and error
+Columns = Sequence[Any]  # alpha, beta, gamma, and delta or, computed once for all, the plant
 
 
 def fast_radius(
@@ -440,21 +441,21 @@ def fast_radius(
     device; the host sees only the indices.
     """
     first, *others = _tries(delay)
-    loop = _shared_loop(parameters, delay)
+    given = _shared_loop(parameters, delay) or parameters
     if not is_any_jax(parameters) and prod(shape) <= _LIST:
         value, error, still_open = np.empty(shape), np.empty(shape), np.arange(prod(shape))
         others = [first, *others]
     else:
         if is_any_jax(parameters):
-            answer = _tried(loop or loop_of(parameters, delay), delay, first)
+            answer = _tried(loop_of(given, delay), delay, first)
             value, error = (namespace(column).broadcast_to(column, shape) for column in answer)
         else:
-            value, error = _on_grid(loop, parameters, shape, delay, first)
+            value, error = _on_grid(given, parameters, shape, delay, first)
         still_open = np.flatnonzero(~np.asarray(error <= TOLERANCE))
     for effort in others:
         if not still_open.size:
             break
-        tried = _try_list(loop, parameters, shape, still_open, delay, effort)
+        tried = _try_list(given, shape, still_open, delay, effort)
         value, error = (
             with_values(old, still_open, new)
             for old, new in zip((value, error), tried, strict=True)
@@ -469,43 +470,36 @@ def _shared_loop(parameters: list[Array], delay: float) -> Loop | None:
 
 
 def _on_grid(
-    loop: Loop | None, parameters: list[Array], shape: tuple[int, ...], delay: float, effort: Effort
+    given: Columns, parameters: list[Array], shape: tuple[int, ...], delay: float, effort: Effort
 ) -> Answer:
     longest_shared = 8.0  # delay; beyond, guesses are little of the work
     shared = _steady_axis(parameters, shape) if delay <= longest_shared else None
 
     def of_piece(*piece: Any) -> Answer:
-        own = Loop(*piece) if loop else loop_of(list(piece), delay)
-        return _tried(own, delay, effort, shared)
+        return _tried(loop_of(piece, delay), delay, effort, shared)
 
-    return in_pieces(of_piece, tuple(loop or parameters), ceil(prod(shape) / _BLOCK))
+    return in_pieces(of_piece, tuple(given), ceil(prod(shape) / _BLOCK))
 
 
 def _try_list(
-    loop: Loop | None,
-    parameters: list[Array],
-    shape: tuple[int, ...],
-    indices: Indices,
-    delay: float,
-    effort: Effort,
+    given: Columns, shape: tuple[int, ...], indices: Indices, delay: float, effort: Effort
 ) -> Answer:
     shortest_list = 8
     longest, shortest = effort.longest_list, shortest_list
-    if is_any_jax(parameters):  # an accelerator computes a long list as quickly as a short one
+    if is_any_jax(given):  # an accelerator computes a long list as quickly as a short one
         longest = shortest = longest if is_on_cpu() else _LIST
     columns: list[Answer] = []
     for part, padded in lists(indices, longest, shortest):
-        if loop:
-            listed = Loop(*looked_up(loop, shape, padded))
-        else:
-            listed = loop_of(looked_up(parameters, shape, padded), delay)
+        listed = loop_of(looked_up(given, shape, padded), delay)
         columns.append(take(_tried(listed, delay, effort), slice(part.size)))
     return joined(columns)
 
 
-def loop_of(parameters: list[Array], delay: Array | float) -> Loop:
-    """Loops of one form of p(z), with their plants."""
-    alpha, beta, gamma, delta = parameters
+def loop_of(given: Columns, delay: Array | float) -> Loop:
+    """Loops of one form of p(z), of the plants that are given in place of delta, or of theirs."""
+    alpha, beta, gamma, delta = given
+    if isinstance(delta, Plant):
+        return Loop(alpha, beta, gamma, delta)
     fraction = np.asarray(delay) % 1.0
     plant = float_plant(gamma, delta, fraction, is_fractional=bool(np.any(fraction > 0.0)))
     return Loop(alpha, beta, gamma, plant)

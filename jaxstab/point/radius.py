@@ -359,8 +359,7 @@ def _of_delay(
         still_open = np.arange(value.size)
     for start in range(0, still_open.size, _LIST):
         part = still_open[start : start + _LIST]
-        listed = tree_map(np.asarray, looked_up(parameters, shape, part))
-        own = delay if np.ndim(delay) == 0 else np.asarray(delay)[part]
+        *listed, own = tree_map(np.asarray, looked_up([*parameters, delay], shape, part))
         best = _few(listed, own, is_fast=is_fast)
         closer = ~(best[1] >= np.asarray(error.ravel()[part]))
         value, error = (
@@ -384,9 +383,8 @@ def _few(
         value, error = _polished(parameters, delay)
     is_open = np.flatnonzero(~(error <= TOLERANCE))
     if is_open.size:
-        own = delay if np.ndim(delay) == 0 else np.asarray(delay)[is_open]
-        listed = by_name(*looked_up(parameters, shape, is_open), own)
-        coefficients = characteristic_polynomial(**listed)
+        listed = looked_up([*parameters, delay], shape, is_open)
+        coefficients = characteristic_polynomial(**by_name(*listed))
         rough = np.abs(companion_poles(coefficients)[:, 0])
         bound = radius_error(coefficients, rough)
         closer = ~(bound >= error[is_open])
