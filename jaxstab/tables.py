@@ -324,13 +324,11 @@ class Interval:
 
     def __call__(self, value: Any) -> tuple[float, float]:
         """Return the two numbers, or the one twice; ValueError."""
-        ends = value if isinstance(value, list | tuple) else (value, value)
-        numbers = [_finite(end) for end in ends]
-        are_allowed = all(0.0 <= end < inf for end in numbers)
-        if len(numbers) != 2 or not are_allowed or (self.is_positive and 0.0 in numbers):
-            sign = "> 0" if self.is_positive else ">= 0"
-            raise ValueError(f"give a finite number {sign} in {self.unit}, or [lowest, highest]")
-        low, high = numbers
+        check = quantity(self.unit, is_positive=self.is_positive)
+        try:
+            low, high = map(check, value if isinstance(value, list | tuple) else (value, value))
+        except ValueError:
+            raise ValueError(f"give {check.allowed}, or [lowest, highest]") from None
         if low > high:
             raise ValueError(f"its ends are swapped, so give [{high:g}, {low:g}]")
         return low, high

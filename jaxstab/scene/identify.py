@@ -184,9 +184,8 @@ def identify(
     """
     fewest, most = 2000, 64_000  # rows
     period = checked_number("sample_time", sample_time, 0.0, is_open=True, unit="s")
-    given = {"force": force, "position": position}
-    given |= {} if velocity is None else {"velocity": velocity}
-    columns = {name: np.ravel(checked(name, values)) for name, values in given.items()}
+    given = {"force": force, "position": position, "velocity": velocity}
+    columns = {name: np.ravel(checked(name, x)) for name, x in given.items() if x is not None}
     forces, positions = columns["force"], columns["position"]
     for name, column in columns.items():
         if len(column) != len(positions):
