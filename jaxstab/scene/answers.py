@@ -145,11 +145,9 @@ class Answer:
     """A dataclass of quantities, descriptions and further answers.
 
     A field is left out where it is None; one that is a dictionary has answers, or quantities, by
-    their names. An answer that ``is_part`` of another one has no heading. An answer with a field
-    ``inputs`` has its units, and so have the answers in it.
+    their names. An answer with a field ``inputs`` has its units, and so have the answers in it.
     """
 
-    is_part: ClassVar[bool] = False
     absent: ClassVar[str] = "none"
     """The words for a number that is NaN."""
 
@@ -163,7 +161,7 @@ class Answer:
                 place = place.setdefault(key, {})
             if not isinstance(value, Answer):
                 place[name if outer else _named(name, units)] = _for_json(value)
-            elif value.is_part:
+            elif isinstance(value, Part):
                 place |= value.as_json(units)
             else:
                 place[name] = value.as_json(units)
@@ -183,7 +181,7 @@ class Answer:
             )
             if not isinstance(value, Answer):
                 lines.append(line(indent, words, self._words([*outer, name][0], value, units)))
-            elif value.is_part or name == "inputs":
+            elif isinstance(value, Part) or name == "inputs":
                 lines += value.lines(indent, units)
             else:
                 lines += [indent + words, *value.lines(indent + "  ", units)]
@@ -198,7 +196,7 @@ class Answer:
         for (*outer, name), value in self._entries():
             path = prefix + ".".join([*outer, name if outer else _named(name, units)])
             if isinstance(value, Answer):
-                yield from value.leaves(prefix if value.is_part else f"{path}.", units)
+                yield from value.leaves(prefix if isinstance(value, Part) else f"{path}.", units)
                 continue
             words = self._words([*outer, name][0], value, units)
             ends = ("_low", "_high") if isinstance(value, tuple) else ("",)
@@ -243,6 +241,10 @@ class Answer:
             return in_words(value)
         is_absent = isnan(sum(value) if isinstance(value, tuple) else value)
         return self.absent if is_absent else self._quantity(name).words(value, units)
+
+
+class Part(Answer):
+    """An answer whose values stand without a heading among those of the answer that has it."""
 
 
 @dataclass(frozen=True)

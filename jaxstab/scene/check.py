@@ -31,6 +31,7 @@ from jaxstab.scene.answers import (
     DampingLimits,
     Frequency,
     Number,
+    Part,
     Quantity,
     StiffnessLimits,
     basis_of,
@@ -61,10 +62,9 @@ SpareGain = Annotated[float, Quantity("", 4, ROUND_FLOOR, "any")]
 
 
 @dataclass(frozen=True)
-class Margins(Answer):
+class Margins(Part):
     """The change that each quantity allows alone: the least over some hands."""
 
-    is_part = True
     absent = "not proved"
 
     stiffness_gain: SpareGain
@@ -75,14 +75,13 @@ class Margins(Answer):
 
 
 @dataclass(frozen=True)
-class NoMargins(Answer):
+class NoMargins(Part):
     """Where walls are stable beside one that is not: all K at its B, all B at its K.
 
     For some hands at once; of several intervals the lowest comes first. It is left out where the
     intervals of a hand are not resolved, which is rare.
     """
 
-    is_part = True
     absent = "none is stable"
 
     stable_at_its_damping: StiffnessLimits | None
@@ -92,13 +91,12 @@ class NoMargins(Answer):
 
 
 @dataclass(frozen=True)
-class FrequencyMargins(Answer):
+class FrequencyMargins(Part):
     """The distances of the open loop from -1, and where they are: each the worst over some hands.
 
     Without a gain margin it is one line, of two numbers.
     """
 
-    is_part = True
     absent = "not proved"
 
     phase_margin: Annotated[float, Quantity("degrees", 4, ROUND_FLOOR, "any")]
@@ -134,33 +132,29 @@ class FrequencyMargins(Answer):
 
 
 @dataclass(frozen=True)
-class Distance(Answer):
+class Distance(Part):
     """The least distance to the edge of stability over some hands, in units of alpha and beta."""
 
-    is_part = True
     absent = "not known"
 
     distance_to_boundary: Annotated[float, Quantity(rounding=ROUND_FLOOR)]
 
 
 @dataclass(frozen=True)
-class Radius(Answer):
+class Radius(Part):
     """The spectral radius and the bound of its error."""
-
-    is_part = True
 
     spectral_radius: Number
     radius_error: Bound
 
 
 @dataclass(frozen=True)
-class Settling(Answer):
+class Settling(Part):
     """The longest settling times of some hands, and the hand that takes longest to 2 percent.
 
     They are NaN where one is not proved, infinite for an unstable wall.
     """
 
-    is_part = True
     absent = "not proved"
 
     settling_time_2_percent: SettlingTime
@@ -170,10 +164,8 @@ class Settling(Answer):
 
 
 @dataclass(frozen=True)
-class Oscillation(Answer):
+class Oscillation(Part):
     """The slowest mode, with the hand for which it is damped least."""
-
-    is_part = True
 
     damping_ratio: Number
     frequency: Frequency
@@ -181,10 +173,8 @@ class Oscillation(Answer):
 
 
 @dataclass(frozen=True)
-class Chatter(Answer):
+class Chatter(Part):
     """The largest position and force, at all times, to which the encoder's rounding drives."""
-
-    is_part = True
 
     chatter_at_most: Amplitude
     force_chatter_at_most: Annotated[float, Quantity("N", 3, ROUND_CEILING, "not proved")]
@@ -192,13 +182,12 @@ class Chatter(Answer):
 
 
 @dataclass(frozen=True)
-class Jitter(Answer):
+class Jitter(Part):
     """The excess of the delay over the scene's longest if it changes from sample to sample.
 
     It is proved for every hand of the scene.
     """
 
-    is_part = True
     absent = "not proved"
 
     extra_delay_moving: SpareTime
@@ -278,7 +267,7 @@ class WallCheck(WallVerdict):
 class Check(Answer):
     """The answers about each wall, by its name."""
 
-    inputs: Basis | None
+    inputs: Basis
     walls: dict[str, WallCheck]
 
     @property
@@ -288,7 +277,6 @@ class Check(Answer):
 
     def in_short(self) -> str:
         """Notes that are easily overlooked, and the main answers of each wall."""
-        assert self.inputs is not None  # check_walls always gives them
         rows, delays = [*self.inputs.facts().items()], self.inputs.range_of_delays
         if delays or any(wall.worst_hand for wall in self.walls.values()):
             words = "verdicts cover all of them; other numbers are the worst at their ends"

@@ -69,7 +69,7 @@ class Simulated(Answer):
 class Contacts(Answer):
     """The simulated contact of each wall, by its name."""
 
-    inputs: Basis | None
+    inputs: Basis
     friction: Annotated[float, Quantity("N")]
     walls: dict[str, Simulated]
 

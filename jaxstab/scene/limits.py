@@ -152,7 +152,7 @@ class LimitsOverDelays(Answer):
     and ``all_hands`` has all of them.
     """
 
-    inputs: Basis | None
+    inputs: Basis
     safety: Number | None
     hand: str | None
     best: ProvedWall
@@ -173,7 +173,7 @@ class LimitsOverDelays(Answer):
 class Limits(Answer):
     """The limits of a scene, with the hand at its lowest values."""
 
-    inputs: Basis | None
+    inputs: Basis
     safety: Number | None
     hand: str | None
     best: StiffestWall
@@ -199,7 +199,6 @@ class Limits(Answer):
 
 def brief(answer: Limits | LimitsOverDelays, *, islands: bool = False) -> str:
     """Return the estimator, the delay, the largest stiffness and each wall, one on each line."""
-    assert answer.inputs is not None  # scene_limits always gives them
     lines, said = answer.inputs.facts(), {path: words for path, _, words in answer.leaves()}
 
     def limit(key: str, *more: str | None) -> str:

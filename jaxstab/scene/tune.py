@@ -29,6 +29,7 @@ from jaxstab.scene.answers import (
     LargestTime,
     Mass,
     Number,
+    Part,
     Time,
     basis_of,
     printed_wall,
@@ -142,10 +143,9 @@ def _between(ranges: list[tuple[float, float]]) -> list[Member]:
 
 
 @dataclass(frozen=True)
-class TunedWall(Answer):
-    """Gains, and the radius and settling time that these gains have."""
+class RoundedWall(Answer):
+    """Rounded gains, and the radius and settling time that these gains have."""
 
-    is_part = True
     absent = "not proved"
 
     stiffness: GivenStiffness
@@ -157,10 +157,8 @@ class TunedWall(Answer):
 
 
 @dataclass(frozen=True)
-class RoundedWall(TunedWall):
-    """The same with the digits of the gains that are printed."""
-
-    is_part = False
+class TunedWall(RoundedWall, Part):
+    """The same of gains that are not rounded."""
 
 
 @dataclass(frozen=True)
@@ -194,7 +192,7 @@ class BestWall(Answer):
 class Tuned(Answer):
     """The wall of the smallest radius, of the fastest settling, and the best dampings."""
 
-    inputs: Basis | None
+    inputs: Basis
     least_radius: BestWall
     least_settling: BestWall
     walls: dict[str, BestWall]
@@ -304,7 +302,7 @@ class LargestDelay(Answer):
 class Design(Answer):
     """The sample time and delay that a desired stiffness requires."""
 
-    inputs: Basis | None
+    inputs: Basis
     stiffness: GivenStiffness
     safety: Number | None
     now_allowed_stiffness: LargestStiffness
