@@ -204,16 +204,10 @@ def _starts(scene: Scene) -> list[tuple[float, float, float]]:
     return [(*pair, phase) for pair in pairs if any(pair) for phase in phases]
 
 
-def start_in_words(scene: Scene, push: float, speed: float) -> str:
-    """Return at which speed a device meets a wall, and how it is pushed."""
-    words = [f"at {speed:g} {scene.units.length}/s"] if speed else []
-    words += [f"pushed with {Quantity('N').words(push, scene.units)}"] if push else []
-    return ", ".join(words)
-
-
 def _simulated(scene: Scene, contact: Contact, start: tuple[float, float, float]) -> Simulated:
     push, speed, phase = start
-    words = [start_in_words(scene, push, speed)]
+    words = [f"at {speed:g} {scene.units.length}/s"] if speed else []
+    words += [f"pushed with {Quantity('N').words(push, scene.units)}"] if push else []
     if scene.device.encoder:
         words.append(f"encoder at {phase:g} of a step")
     assert scene.contact is not None  # callers look

@@ -293,7 +293,7 @@ def scene_limits(scene: Scene) -> Limits | LimitsOverDelays:
             for own in islands
         ),
         passive=_passive(rows) if has_rules else None,
-        linear_rule=(_linear_rule(rows, limits, safety) if has_rules and is_any_stable else None),
+        linear_rule=(_linear_rule(rows, limits) if has_rules and is_any_stable else None),
         windows=_other_windows(loop, safety) if scene.controller.velocity is None else {},
         at_given_damping=None if damping is None else rows.at_damping(damping),
         at_given_stiffness=None if stiffness is None else rows.at_stiffness(stiffness),
@@ -305,20 +305,15 @@ def scene_limits(scene: Scene) -> Limits | LimitsOverDelays:
 def _around(scene: Scene, rows: "_Rows", wall: Gains) -> AroundWall:
     """The limits around a wall; other hands are asked only where it is stable at the lowest."""
     found = rows.around(*wall)
-    return replace(found, exception=_exception(scene, wall)) if found.is_stable else found
-
-
-def _exception(scene: Scene, wall: Gains) -> str | None:
-    """An exception for other hands and masses than the lowest ones, in words; None for none."""
-    if hands_of(scene) is None:
-        return None
+    if not found.is_stable or hands_of(scene) is None:
+        return found
     ((worst, _),) = worst_on(scene, [wall])
     if worst.is_stable:
-        return None
-    is_unstable = worst.verdict == Verdict.UNSTABLE
-    return (
-        "unstable for some hand: see jaxstab check" if is_unstable else "not proved for every hand"
-    )
+        return found
+    words = "not proved for every hand"
+    if worst.verdict == Verdict.UNSTABLE:
+        words = "unstable for some hand: see jaxstab check"
+    return replace(found, exception=words)
 
 
 def _over_delays(scene: Scene) -> LimitsOverDelays:
@@ -459,9 +454,9 @@ def inwards(low: float, high: float, safety: float) -> tuple[float, float]:
     return (low, high) if low <= high else (nan, nan)
 
 
-def _linear_rule(rows: "_Rows", limits: WallLimits, safety: float) -> LinearRule:
+def _linear_rule(rows: "_Rows", limits: WallLimits) -> LinearRule:
     stiffness = rows.linear_rule(limits.at_damping)
-    exact, words = safety * limits.stiffness, "an approximation for small gains"
+    exact, words = rows.safety * limits.stiffness, "an approximation for small gains"
     if exact > 0.0:
         words += f", here {stiffness / exact:.2g} times the exact limit"
     return LinearRule(stiffness, limits.at_damping, words)
