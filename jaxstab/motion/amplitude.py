@@ -223,9 +223,8 @@ def loop_amplitude(
     require_x64(stiffness, damping)
     sizes = _checked_disturbances(encoder, force_step, friction, noise)
     gains = float_arrays(checked_gain("stiffness", stiffness), checked_gain("damping", damping))
-    period = loop.sample_time
-    controller = controller_for(given_filters(loop.velocity, loop.position), period)
-    samples = gains[0], gains[1] / period
+    controller = controller_for(given_filters(**loop.filters))
+    samples = gains[0], gains[1] / loop.sample_time
     return _answered(WallAmplitude, lambda: loop, gains, sizes, samples, controller)
 
 

@@ -38,11 +38,11 @@ from jaxstab.arrays import (
     tree_map,
 )
 from jaxstab.batches import compiled, on_host
-from jaxstab.conventions import Status
+from jaxstab.conventions import Excitation, Status
 from jaxstab.exact.turns import Segments, segments_of
 from jaxstab.model import LoopParameters, by_name, checked_gain, plant_transition, require_x64
 from jaxstab.model.device import Device
-from jaxstab.model.device.mechanics import Mechanics, Starts, mechanics
+from jaxstab.model.device.mechanics import Mechanics, mechanics
 from jaxstab.model.filters import (
     NO_FILTERS,
     Filter,
@@ -118,10 +118,10 @@ class Controller:
     window: int = fixed()
 
     @classmethod
-    def from_filters(cls, filters: Filters, sample_time: float = 1.0) -> "Controller":
-        """Return the difference equations of an estimator and a filter."""
-        window, behind = filters[0].stages(sample_time)
-        chains = behind, filters[1].stages(sample_time)
+    def from_filters(cls, filters: Filters) -> "Controller":
+        """Return the difference equations of an estimator and a filter, in units of one sample."""
+        window, behind = filters[0].stages()
+        chains = behind, filters[1].stages()
         velocity, position = (tuple(map(Equation.from_stage, chain)) for chain in chains)
         return cls(velocity, position, window)
 
@@ -523,43 +523,39 @@ class Loops(NamedTuple):
     start: Float64[np.ndarray, "loop state"]
 
 
-def controller_for(filters: Filters | None, sample_time: float = 1.0) -> Controller:
+def controller_for(filters: Filters | None) -> Controller:
     """The controller of an estimator and a filter; those of plain numbers are remembered."""
     filters = filters or NO_FILTERS
     is_plain = all(isinstance(leaf, float | int) for leaf in leaves(filters))
     make = _remembered_controller if is_plain else Controller.from_filters
-    return make(filters, sample_time)
+    return make(filters)
 
 
 _remembered_controller = lru_cache(maxsize=64)(Controller.from_filters)
 
 
-def loops_of(
-    stiffness: Lanes,
-    damping: Lanes,
-    rows: Float64[np.ndarray, "state column"],
-    starts: Starts,
-    whole_delay: int,
-    excitation: str,
-    controller: Controller,
+def deviations(
+    loop: LoopParameters, stiffness: Lanes, damping: Lanes, excitation: Excitation
 ) -> Loops:
-    """The loops of gains K and B/T, at a plant by its rows at the next sample (``Mechanics``).
+    """Walls of a loop in plain numbers, side by side, as they come to rest; in SI units.
 
-    A is the step of a simulation, taken from each unit state. One mass is taken as 1, any other
-    device is in SI units.
+    A is the step of a simulation, taken from each unit state.
     """
+    period, (whole, fraction) = loop.sample_time, divmod(loop.delay_samples, 1.0)
+    moves = mechanics(loop.held_device, period, fraction, (1.0,))
+    controller = controller_for(given_filters(**loop.filters))
     if excitation == "impact":
-        position, plant, force = 0.0, starts.blow, 0.0 * stiffness
+        position, plant, force = 0.0, moves.starts.blow, 0.0 * stiffness
     else:
         position, memory = -1.0, controller.at_rest(1.0)
         force = controller.step(1.0, memory)[0] * stiffness  # less that at rest
-        plant = np.where(starts.follows, force[:, None], -starts.at_rest)
-    plant = np.broadcast_to(plant, (stiffness.size, len(starts.at_rest)))
-    waiting = (force,) * whole_delay
+        plant = np.where(moves.starts.follows, force[:, None], -moves.starts.at_rest)
+    plant = np.broadcast_to(plant, (stiffness.size, len(moves.starts.at_rest)))
+    waiting = (force,) * int(whole)
     begun = tuple(plant.T), controller.at_rest(position), force, waiting
     start = np.stack(np.broadcast_arrays(*leaves(begun)), axis=-1)
-    walls = stiffness[:, None], damping[:, None], 0.0
-    step = _step_of(rows.tolist(), controller, walls, unilateral=False)
+    walls = stiffness[:, None], damping[:, None] / period, 0.0
+    step = _step_of(moves.rows[-1].tolist(), controller, walls, unilateral=False)
     unit_states = iter(np.eye(start.shape[1]))
     after, _ = step(tree_map(lambda _: next(unit_states), begun))
     columns = [np.broadcast_to(row, start.shape) for row in leaves(after)]

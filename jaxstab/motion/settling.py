@@ -15,16 +15,13 @@ from jaxstab.arrays import Array, Numbers, float_arrays, named, namespace
 from jaxstab.conventions import HORIZON, Excitation, Status, Verdict
 from jaxstab.exact.response import settled_after
 from jaxstab.model import LoopParameters, checked_delay, checked_gain, require_x64
-from jaxstab.model.device.mechanics import mechanics
-from jaxstab.model.filters import Filter, Velocity, given_filters
+from jaxstab.model.filters import Filter, Velocity
 from jaxstab.model.parameters import checked_delta, checked_gamma
 from jaxstab.motion.response import (
     Column,
-    Loops,
     answer_text,
     asked_of_lanes,
-    controller_for,
-    loops_of,
+    deviations,
     positions,
     unit_loops,
 )
@@ -179,20 +176,6 @@ def likely_settling(
         since = np.where(outside.any(axis=1), horizon - np.argmax(outside[:, ::-1], axis=1), 0)
         samples[members] = np.where(since <= 0.75 * horizon, since, np.nan)
     return samples.reshape(gains[0].shape) * loop.sample_time
-
-
-def deviations(
-    loop: LoopParameters,
-    stiffness: Float64[np.ndarray, " wall"],
-    damping: Float64[np.ndarray, " wall"],
-    excitation: Excitation,
-) -> Loops:
-    """Walls of a loop in plain numbers, side by side, as they come to rest; in SI units."""
-    period, (whole, fraction) = loop.sample_time, divmod(loop.delay_samples, 1.0)
-    moves = mechanics(loop.held_device, period, fraction, (1.0,))
-    controller = controller_for(given_filters(loop.velocity, loop.position), period)
-    plant = moves.rows[-1], moves.starts, int(whole)
-    return loops_of(stiffness, damping / period, *plant, excitation, controller)
 
 
 def _settled(

@@ -18,8 +18,8 @@ from jaxstab.conventions import Excitation
 from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.filters import Filter, Velocity, as_keywords, given_filters
 from jaxstab.model.loop import LoopParameters, unit_loop
-from jaxstab.motion.response import STRETCH, Loops, positions
-from jaxstab.motion.settling import Settling, checked_level, deviations, loop_settling_samples
+from jaxstab.motion.response import STRETCH, Loops, deviations, positions
+from jaxstab.motion.settling import Settling, checked_level, loop_settling_samples
 from jaxstab.numbers import checked_number
 from jaxstab.tuning.radius import (
     Axis,
