@@ -166,8 +166,7 @@ def build_guard(
     """
     lost = checked_count("lost", lost, 0)
     cells = cells or (CONSTANT_CELLS if constant_delay else CELLS)
-    _check(loop, hands, mass, delay, cells, may_be_one=lost > 0)
-    jitter = _checked_jitter(loop, delay, lost, constant_delay, cells)
+    jitter = _checked_jitter(loop, hands, mass, delay, cells, lost, constant_delay=constant_delay)
     progress = progress or (lambda _: None)
     progress(0.0)
     period = loop.sample_time
@@ -187,20 +186,6 @@ def build_guard(
             "of the mass first, or give the hand more damping."
         )
     return Guard(loop, hands, mass, delay, grid, units, rows, lost)
-
-
-def _checked_jitter(
-    loop: LoopParameters, delay: Range, lost: int, constant_delay: bool, cells: tuple[int, int, int]
-) -> float:
-    """Return by how many samples the delay may move, rounded up."""
-    if constant_delay:
-        if lost:
-            raise ValueError(f"lost is {lost}; with a constant delay no sample is lost.")
-        return 0.0
-    if cells[1] != 1:
-        raise ValueError(f"cells are {cells}; give 1 of delay, or constant_delay.")
-    low, high = (end / loop.sample_time for end in delay)
-    return Delays.between(low, high, lost).jitter
 
 
 class GuardPlan(NamedTuple):
@@ -326,15 +311,17 @@ def _granted_rows(
     return rows
 
 
-def _check(
+def _checked_jitter(
     loop: LoopParameters,
     hands: HandRange,
     mass: Range,
     delay: Range,
     cells: tuple[int, int, int],
+    lost: int,
     *,
-    may_be_one: bool,
-) -> None:
+    constant_delay: bool,
+) -> float:
+    """By how many samples the delay may move, rounded up; it refuses what has no guard."""
     least_gain = 1e-6  # of a position filter at z = 1
     checked_range(hands, device=loop.device)
     refuse_arrays(loop)
@@ -350,15 +337,23 @@ def _check(
         raise ValueError(
             f"the position filter has the gain {gain:g} at z = 1; give one with a positive gain."
         )
-    for name, ends, least in (("mass", mass, 0.0), ("delay", delay, 0.0)):
+    for name, ends, may_be_one in (("mass", mass, False), ("delay", delay, lost > 0)):
         for end in ends:
-            checked_number(name, end, least)
-        is_one = name == "delay" and may_be_one and ends[0] == ends[1]
+            checked_number(name, end, 0.0)
+        is_one = may_be_one and ends[0] == ends[1]
         if not (ends[0] < ends[1] or is_one) or (name == "mass" and ends[0] <= 0.0):
             raise ValueError(f"{name} is {ends}; give the lower end first, then a higher one.")
     for count in cells:
         if count < 1 or count & (count - 1):
             raise ValueError(f"cells are {cells}; give powers of two.")
+    if constant_delay:
+        if lost:
+            raise ValueError(f"lost is {lost}; with a constant delay no sample is lost.")
+        return 0.0
+    if cells[1] != 1:
+        raise ValueError(f"cells are {cells}; give 1 of delay, or constant_delay.")
+    low, high = (end / loop.sample_time for end in delay)
+    return Delays.between(low, high, lost).jitter
 
 
 def _tops(
