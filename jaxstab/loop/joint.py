@@ -14,13 +14,12 @@ The least inertia is searched as other values of one quantity are (``loop.backwa
 """
 
 from dataclasses import dataclass
-from functools import partial
 from math import isfinite, nan
 from typing import Any, NamedTuple
 
 from jaxstab.boxes.hands import HandRange
 from jaxstab.conventions import Verdict
-from jaxstab.exact import TripleAt, wall_verdict
+from jaxstab.exact import wall_verdict
 from jaxstab.exact.ranges import Axis, stable_over
 from jaxstab.loop.affine import Loop
 from jaxstab.loop.backwards import Scan, stable_values
@@ -29,8 +28,7 @@ from jaxstab.loop.hands import LoopsWithHands
 from jaxstab.loop.loop import HapticLoop
 from jaxstab.loop.margins import crossings_of, ends_of_gains
 from jaxstab.model import Device
-from jaxstab.model.affine import affine_triple
-from jaxstab.model.balls import Factored, ball_triple
+from jaxstab.model.balls import Factored
 from jaxstab.model.device.parts import exact
 from jaxstab.model.filters import Velocity
 from jaxstab.rounding import EPS
@@ -112,7 +110,7 @@ class JointLoop:
         loop, (_, delay, jitter, *_) = self.loop(inertia), self.control
         if jitter and not self.drifts and isinstance(loop, HapticLoop):
             return Verdict(int(loop.verdict(*self.gains, delays=(delay, delay + jitter))))
-        verdict = wall_verdict(_triple(loop), *self.gains, may_drift=self.drifts).verdict
+        verdict = wall_verdict(loop._triple, *self.gains, may_drift=self.drifts).verdict
         return Verdict.UNDECIDED if jitter and verdict == Verdict.STABLE else verdict
 
     def verdict(self, until: PD | None = None) -> Verdict:
@@ -125,7 +123,7 @@ class JointLoop:
 
             def p(gain: float, inertia: float) -> Factored:
                 pair = (gain, upper[1]) if changed == 0 else (upper[0], gain)
-                own = _triple(self.loop(inertia))().at(*pair)
+                own = self.loop(inertia)._triple().at(*pair)
                 return own._replace(at_one=own.at_one - self.drifts)
 
             return stable_over(p, Axis(self.gains[changed], upper[changed]), axis)
@@ -176,7 +174,7 @@ class JointLoop:
         """The growth of both gains, and of the delay, with one inertia."""
         loop, (kp, kd), later = self.loop(inertia), self.gains, nan
         if isinstance(loop, Loop) or self.control.rule or self.drifts:
-            ends = [crossing.end for crossing in ends_of_gains(_triple(loop), self.gains)]
+            ends = [crossing.end for crossing in ends_of_gains(loop._triple, self.gains)]
         else:
             ends = crossings_of(loop.in_floats(), self.gains)[1::2]
             later = ends[4] * self.control.sample_time
@@ -198,9 +196,3 @@ class JointLoop:
         added = exact(control.step) * exact(joint.damping) * is_implicit
         degree = steps * (4 if control.rule == "rk4" and not is_free else 1)
         return Axis(*self._inertias, degree, lambda inertia: 1 / (inertia + added))
-
-
-def _triple(loop: HapticLoop | Loop) -> TripleAt:
-    if isinstance(loop, Loop):
-        return partial(affine_triple, loop.parts)
-    return partial(ball_triple, loop.in_floats())
