@@ -680,7 +680,7 @@ class HapticLoop(LoopParameters, TwoGains):
         self._refuse_tracers("amplitude")
         sizes = {"encoder": encoder, "force_step": force_step, "friction": friction, "noise": noise}
         if self.device is not None and self.body is None:
-            return motion.loop_amplitude(self.in_floats(), stiffness, damping, **sizes)
+            return motion.loop_amplitude(self.in_floats(), stiffness, damping, sizes)
         unit = self.mass / self.sample_time**2  # N that are 1 where 1 m is
         sizes = {name: checked(name, size, 0.0) for name, size in sizes.items()}
         sizes |= {name: sizes[name] / unit for name in ("force_step", "friction")}

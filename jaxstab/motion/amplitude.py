@@ -11,7 +11,7 @@ The sums are those of lemma E4. Position and velocity between samples are bounde
 pieces of the sample, with their second derivatives (lemma M9 of docs/proofs.md).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from decimal import ROUND_CEILING
 from functools import lru_cache
 from typing import NamedTuple, TypeVar
@@ -146,45 +146,33 @@ def amplitude(
         1.03
     """
     require_x64(alpha, beta, gamma, delta)
-    delay = checked_delay(delay)
-    sizes = _checked_disturbances(encoder, force_step, friction, noise)
+    sizes = {"encoder": encoder, "force_step": force_step, "friction": friction, "noise": noise}
     gains = float_arrays(checked_gain("alpha", alpha), checked_gain("beta", beta))
-    lanes = *gains, *float_arrays(checked_gamma(gamma), checked_delta(delta)), delay
+    lanes = *gains, *float_arrays(checked_gamma(gamma), checked_delta(delta)), checked_delay(delay)
     loop_of = unit_loops(velocity, position)
     controller = controller_for(given_filters(velocity, position))
     return _answered(Amplitude, loop_of, lanes, sizes, gains, controller)
-
-
-class _Sizes(NamedTuple):
-    """The resolution of the encoder, and the size of each cause."""
-
-    resolution: Array
-    causes: tuple[Array, Array, Array]
-
-
-def _checked_disturbances(
-    encoder: Numbers, force_step: Numbers, friction: Numbers, noise: Numbers
-) -> _Sizes:
-    """The sizes of disturbances, not all of them 0."""
-    given = {"encoder": encoder, "force_step": force_step, "friction": friction, "noise": noise}
-    require_x64(*given.values())
-    sizes = float_arrays(*(checked(name, value, 0.0) for name, value in given.items()))
-    if not any(is_traced(size) or np.any(size) for size in sizes):
-        raise ValueError(f"{', '.join(given)} are all 0; give what disturbs the loop.")
-    resolution, step, rubbing, extra = sizes
-    return _Sizes(resolution, (0.5 * resolution + extra, 0.5 * step, rubbing))
 
 
 def _answered(
     kind: type[Kind],
     loop_of: Callable[..., LoopParameters | None],
     lanes: Sequence[Array],
-    sizes: _Sizes,
+    given: Mapping[str, Numbers],
     gains: Sequence[Array],
     controller: Controller,
 ) -> Kind:
-    """The sums of the bounds of all causes, infinite where one is not proved."""
-    position, force, friction = (is_traced(x) or bool(np.any(x)) for x in sizes.causes)
+    """The sums of the bounds of all causes, infinite where one is not proved.
+
+    ValueError if the sizes that are given are all 0.
+    """
+    require_x64(*given.values())
+    sizes = float_arrays(*(checked(name, value, 0.0) for name, value in given.items()))
+    if not any(is_traced(size) or np.any(size) for size in sizes):
+        raise ValueError(f"{', '.join(given)} are all 0; give what disturbs the loop.")
+    resolution, step, rubbing, extra = sizes
+    sizes = [0.5 * resolution + extra, 0.5 * step, rubbing]
+    position, force, friction = (is_traced(x) or bool(np.any(x)) for x in sizes)
     causes = position, force, friction  # that are present
 
     def ask(loop: LoopParameters, stiffness: float, damping: float) -> np.ndarray:
@@ -196,32 +184,25 @@ def _answered(
     totals = []
     for of_causes in (bounds[::3], bounds[1::3], bounds[2::3]):  # of position, velocity, force
         finite = (xp.where(is_proved, bound, 0.0) for bound in of_causes)
-        total = RAISED * sum(a * b for a, b in zip(sizes.causes, finite, strict=True))
+        total = RAISED * sum(a * b for a, b in zip(sizes, finite, strict=True))
         totals.append(xp.where(is_proved, total, xp.inf))
     status = xp.where(is_proved, AmplitudeStatus.PROVED, AmplitudeStatus.NOT_PROVED)
     filtered, difference, _ = controller.step(1.0, controller.at_rest(0.0))
-    per_count = sizes.resolution * abs(gains[0] * filtered + gains[1] * difference)
+    per_count = resolution * abs(gains[0] * filtered + gains[1] * difference)
     answers = kind(*xp.broadcast_arrays(*totals, per_count, status.astype(np.int8)))
     return answers._replace(status=named(answers.status, AmplitudeStatus))
 
 
 def loop_amplitude(
-    loop: LoopParameters,
-    stiffness: Numbers,
-    damping: Numbers,
-    *,
-    encoder: Numbers = 0.0,
-    force_step: Numbers = 0.0,
-    friction: Numbers = 0.0,
-    noise: Numbers = 0.0,
+    loop: LoopParameters, stiffness: Numbers, damping: Numbers, sizes: Mapping[str, Numbers]
 ) -> WallAmplitude:
     """Bound what disturbances do to a loop in plain numbers; see ``HapticLoop.amplitude``.
 
-    Friction acts at the handle, behind the actuators; an amplifier's steps come before them.
-    ValueError also if the device has zero DC gain.
+    ``sizes`` are those of encoder, force_step, friction and noise, in this order. Friction acts at
+    the handle, behind the actuators; an amplifier's steps come before them. ValueError also if the
+    device has zero DC gain.
     """
     require_x64(stiffness, damping)
-    sizes = _checked_disturbances(encoder, force_step, friction, noise)
     gains = float_arrays(checked_gain("stiffness", stiffness), checked_gain("damping", damping))
     controller = controller_for(given_filters(**loop.filters))
     samples = gains[0], gains[1] / loop.sample_time
