@@ -30,7 +30,7 @@ from jaxstab.conventions import Verdict
 from jaxstab.loop import HapticLoop
 from jaxstab.loop.margins import WAYS, crossings_of
 from jaxstab.model import by_name, characteristic_polynomial
-from jaxstab.motion.response import unit_loops
+from jaxstab.model.loop import unit_loops
 from jaxstab.results import StableRegion
 
 _WALLS, _SMALL_WALLS = 400, 6

@@ -401,3 +401,31 @@ def on_host(
         vmap_method="broadcast_all",
     )
     return result
+
+
+def asked_of_lanes(
+    ask: Callable[..., Any],
+    loop_of: Callable[..., Any],
+    lanes: Sequence[Array],
+    count: int,
+    *,
+    is_count: bool,
+    gains: int = 2,
+) -> tuple[Array, ...]:
+    """So many numbers that are asked of a loop and some gains, for lanes of gains and of loops.
+
+    NaN where there is no loop; ``is_count`` as of ``on_host``.
+    """
+
+    def of_lane(*lane: float) -> Any:
+        loop = loop_of(*lane[gains:])
+        return np.full(count, np.nan) if loop is None else ask(loop, *lane[:gains])
+
+    def search(*own: np.ndarray) -> tuple[np.ndarray, ...]:
+        columns = np.array([np.ravel(lane) for lane in own]).T.tolist()
+        found = np.reshape([of_lane(*lane) for lane in columns], (*own[0].shape, count))
+        return tuple(map(np.asarray, np.moveaxis(found, -1, 0)))
+
+    shape = namespace(lanes).broadcast_shapes(*map(np.shape, lanes))
+    like = (np.float64,) * count
+    return on_host(search, *lanes, shape=shape, like=like, is_count=is_count)

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, are_numbers, float_arrays, is_jax, namespace
+from jaxstab.batches import asked_of_lanes
 from jaxstab.conventions import Verdict
 from jaxstab.exact import DelayMargin, TripleAt, delay_margin, stable_line, wall_verdict
 from jaxstab.exact.line import End
@@ -23,9 +24,8 @@ from jaxstab.model.balls import ball_loop, ball_triple
 from jaxstab.model.device.device import in_steps
 from jaxstab.model.device.sampling import one_sample
 from jaxstab.model.filters import Filter, Velocity, known_filters
-from jaxstab.model.loop import LoopParameters, refuses_loops
+from jaxstab.model.loop import LoopParameters, refuses_loops, unit_loops
 from jaxstab.model.parameters import LONGEST_DELAY, wall_grid
-from jaxstab.motion.response import asked_of_lanes, unit_loops
 from jaxstab.numbers import checked, without_noise
 from jaxstab.shown import number_text, table_text
 

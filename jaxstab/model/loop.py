@@ -2,8 +2,8 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
-from functools import wraps
-from math import ulp
+from functools import lru_cache, wraps
+from math import inf, ulp
 from typing import Any, ClassVar, ParamSpec, TypedDict, TypeVar
 
 import numpy as np
@@ -22,7 +22,7 @@ from jaxstab.model.device import Device, Hand
 from jaxstab.model.device.device import in_steps
 from jaxstab.model.device.parts import MassSpringDamper
 from jaxstab.model.device.sampling import gain_units
-from jaxstab.model.filters import Average, Filter, Velocity, filter_on, given_filters
+from jaxstab.model.filters import Average, Filter, Velocity, filter_on, given_filters, known_filters
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.model.parameters import LONGEST_DELAY, TracedDelay, by_name
 from jaxstab.numbers import checked, checked_number, require_x64
@@ -365,6 +365,24 @@ def unit_loop(
         velocity=velocity,
         position=position,
     )
+
+
+def unit_loops(
+    velocity: Velocity | None, position: Filter | None
+) -> Callable[[float, float, float], LoopParameters | None]:
+    """A function that makes the loop of gamma, delta and delay, for m = T = 1.
+
+    None where there is none, as where JAX traced the numbers, so that nobody checked them.
+    """
+    filters = known_filters(velocity, position) or (None, None)
+
+    @lru_cache(maxsize=64)
+    def loop_of(gamma: float, delta: float, delay: float) -> LoopParameters | None:
+        if not (min(gamma, delta, delay) >= 0.0 and gamma + delta < inf):
+            return None
+        return unit_loop(gamma, delta, delay, *filters)
+
+    return loop_of
 
 
 def _counted(chain: Any, sample_time: Numbers) -> Any:

@@ -20,20 +20,15 @@ import numpy as np
 from jaxtyping import Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, float_arrays, is_traced, named, namespace
+from jaxstab.batches import asked_of_lanes
 from jaxstab.conventions import Status
 from jaxstab.exact.response import Causes, disturbed_responses
 from jaxstab.model import LoopParameters, checked_delay, checked_gain, require_x64
 from jaxstab.model.device.mechanics import Between, between_samples
 from jaxstab.model.filters import Filter, Velocity, given_filters
+from jaxstab.model.loop import unit_loops
 from jaxstab.model.parameters import checked_delta, checked_gamma
-from jaxstab.motion.response import (
-    Column,
-    Controller,
-    answer_text,
-    asked_of_lanes,
-    controller_for,
-    unit_loops,
-)
+from jaxstab.motion.response import Column, Controller, answer_text, controller_for
 from jaxstab.numbers import checked
 from jaxstab.rounding import RAISED
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from decimal import ROUND_HALF_EVEN
 from functools import cached_property, lru_cache, reduce
 from itertools import pairwise
-from math import ceil, inf, prod
+from math import ceil, prod
 from operator import add, mul
 from typing import Any, NamedTuple
 
@@ -37,22 +37,13 @@ from jaxstab.arrays import (
     repeat_and_keep,
     tree_map,
 )
-from jaxstab.batches import compiled, on_host
+from jaxstab.batches import compiled
 from jaxstab.conventions import Excitation, Status
 from jaxstab.exact.turns import Segments, segments_of
 from jaxstab.model import LoopParameters, by_name, checked_gain, plant_transition, require_x64
 from jaxstab.model.device import Device
 from jaxstab.model.device.mechanics import Mechanics, mechanics
-from jaxstab.model.filters import (
-    NO_FILTERS,
-    Filter,
-    Filters,
-    Stage,
-    Velocity,
-    given_filters,
-    known_filters,
-)
-from jaxstab.model.loop import unit_loop
+from jaxstab.model.filters import NO_FILTERS, Filter, Filters, Stage, Velocity, given_filters
 from jaxstab.numbers import checked, checked_count
 from jaxstab.point.poles import closed_loop_poles
 from jaxstab.shown import rounded_text
@@ -582,52 +573,6 @@ def _mapped(matrices: Matrices, states: np.ndarray) -> Float64[np.ndarray, "loop
     turned = np.swapaxes(matrices, 1, 2)
     blocks = range(0, states.shape[1], _BLOCK)
     return np.concatenate([states[:, k : k + _BLOCK] @ turned for k in blocks], axis=1)
-
-
-def unit_loops(
-    velocity: Velocity | None, position: Filter | None
-) -> Callable[[float, float, float], LoopParameters | None]:
-    """A function that makes the loop of gamma, delta and delay, for m = T = 1.
-
-    None where there is none, as where JAX traced the numbers, so that nobody checked them.
-    """
-    filters = known_filters(velocity, position) or (None, None)
-
-    @lru_cache(maxsize=64)
-    def loop_of(gamma: float, delta: float, delay: float) -> LoopParameters | None:
-        if not (min(gamma, delta, delay) >= 0.0 and gamma + delta < inf):
-            return None
-        return unit_loop(gamma, delta, delay, *filters)
-
-    return loop_of
-
-
-def asked_of_lanes(
-    ask: Callable[..., Any],
-    loop_of: Callable[..., LoopParameters | None],
-    lanes: Sequence[Array],
-    count: int,
-    *,
-    is_count: bool,
-    gains: int = 2,
-) -> tuple[Array, ...]:
-    """So many numbers that are asked of a loop and some gains, for lanes of gains and of loops.
-
-    NaN where there is no loop; ``is_count`` as of ``on_host``.
-    """
-
-    def of_lane(*lane: float) -> Any:
-        loop = loop_of(*lane[gains:])
-        return np.full(count, np.nan) if loop is None else ask(loop, *lane[:gains])
-
-    def search(*own: np.ndarray) -> tuple[np.ndarray, ...]:
-        columns = np.array([np.ravel(lane) for lane in own]).T.tolist()
-        found = np.reshape([of_lane(*lane) for lane in columns], (*own[0].shape, count))
-        return tuple(map(np.asarray, np.moveaxis(found, -1, 0)))
-
-    shape = namespace(lanes).broadcast_shapes(*map(np.shape, lanes))
-    like = (np.float64,) * count
-    return on_host(search, *lanes, shape=shape, like=like, is_count=is_count)
 
 
 # The slowest mode of the loop, as damping ratio and frequency.

@@ -12,19 +12,14 @@ import numpy as np
 from jaxtyping import Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, float_arrays, named, namespace
+from jaxstab.batches import asked_of_lanes
 from jaxstab.conventions import HORIZON, Excitation, Status, Verdict
 from jaxstab.exact.response import settled_after
 from jaxstab.model import LoopParameters, checked_delay, checked_gain, require_x64
 from jaxstab.model.filters import Filter, Velocity
+from jaxstab.model.loop import unit_loops
 from jaxstab.model.parameters import checked_delta, checked_gamma
-from jaxstab.motion.response import (
-    Column,
-    answer_text,
-    asked_of_lanes,
-    deviations,
-    positions,
-    unit_loops,
-)
+from jaxstab.motion.response import Column, answer_text, deviations, positions
 from jaxstab.numbers import checked_count, checked_number, checked_word
 from jaxstab.point.verdicts import linear_verdict
 

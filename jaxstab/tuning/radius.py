@@ -24,12 +24,12 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
 from jaxstab.arrays import Array, Numbers, constant, float_arrays, namespace, take
+from jaxstab.batches import asked_of_lanes
 from jaxstab.conventions import Status, Verdict
 from jaxstab.model import checked_delay, checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.filters import NO_FILTERS, Filter, Velocity, known_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
-from jaxstab.model.loop import LoopParameters
-from jaxstab.motion.response import asked_of_lanes, unit_loops
+from jaxstab.model.loop import LoopParameters, unit_loops
 from jaxstab.numbers import checked_number
 from jaxstab.point import linear_spectral_radius, linear_verdict
 from jaxstab.region import RegionStatus, StableRegion
