@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from jaxstab.atlas.file import PACKED, packed
 from jaxstab.atlas.spec import AtlasSpec, FieldSpec
+from jaxstab.atlas.table import PLANT
 from jaxstab.model import by_name
 from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.motion import dominant_mode
@@ -210,7 +211,7 @@ def wrong_nodes(
     shape, keywords = group["outside"].shape, as_keywords(filters)
     i, j = (chance.integers(0, n, count) for n in shape[:2])
     place = [int(chance.integers(0, n)) for n in shape[2:]]
-    plant = [float(group[n][p]) for n, p in zip(("gamma", "delta", "delay"), place, strict=True)]
+    plant = [float(group[name][at]) for name, at in zip(PLANT, place, strict=True)]
     alpha, beta = (group[name][:, place[-1]] for name in ("alpha", "beta"))
     point = by_name(alpha[i], beta[j], *plant)
     here = (slice(None), slice(None), *place)

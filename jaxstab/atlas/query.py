@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jaxstab.atlas import file
-from jaxstab.atlas.table import AlphaLimits, LimitTable
+from jaxstab.atlas.table import PLANT, AlphaLimits, LimitTable
 from jaxstab.conventions import AXES, Status, Verdict
 from jaxstab.durable import identity_of, target_of
 from jaxstab.numbers import checked
@@ -171,8 +171,7 @@ class Atlas:
         outside of the nodes. Args and Raises: see ``jaxstab.conventions``. Source:
         ``jaxstab.atlas.table``.
         """
-        names = ("beta", "gamma", "delta", "delay")
-        points = np.broadcast_arrays(*_checked((beta, gamma, delta, delay), names))
+        points = np.broadcast_arrays(*_checked((beta, gamma, delta, delay), AXES[1:]))
         limits = self.table.limits(*(values.reshape(-1) for values in points))
         return AlphaLimits(*(values.reshape(points[0].shape) for values in limits))
 
@@ -196,10 +195,9 @@ class Atlas:
 
     def __repr__(self) -> str:
         table, tested = self.table, self.tested
-        axes = {"gamma": table.gamma, "delta": table.delta, "delay": table.delay}
         rows = [
             (f"  {name}", f"{nodes.size} nodes", f"{nodes[0]:.4g} to {nodes[-1]:.4g}")
-            for name, nodes in axes.items()
+            for name, nodes in zip(PLANT, table.axes, strict=True)
         ]
         points = max(tested["tested_points"], 1)
         answered = 100.0 * (1.0 - tested["tested_computed"] / points)

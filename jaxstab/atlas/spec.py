@@ -18,6 +18,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from jaxstab.atlas.table import PLANT
 from jaxstab.conventions import AXES
 from jaxstab.model.filter_tables import SampledTable
 from jaxstab.model.filters import (
@@ -187,7 +188,7 @@ class AtlasSpec:
 
     def __post_init__(self) -> None:
         largest_table = 2**24  # nodes with limits
-        for name in ("gamma", "delta", "delay"):
+        for name in PLANT:
             object.__setattr__(self, name, _checked_nodes(name, getattr(self, name)))
         delays = np.array(self.delay)
         whole = np.arange(math.ceil(delays[0]), math.floor(delays[-1]) + 1.0)
@@ -203,15 +204,15 @@ class AtlasSpec:
         if self.fields is not None:
             if not isinstance(self.fields, FieldSpec):
                 raise TypeError(f"fields is {self.fields!r}; give a jaxstab.FieldSpec.")
-            own = {name: getattr(self.fields, name) for name in ("gamma", "delta", "delay")}
-            given = {name: getattr(self, name) for name, nodes in own.items() if nodes is None}
+            missing = [name for name in PLANT if getattr(self.fields, name) is None]
+            given = {name: getattr(self, name) for name in missing}
             object.__setattr__(self, "fields", replace(self.fields, **given))
             check_size([_count(getattr(self.fields, name)) for name in AXES])
 
     @property
     def nodes(self) -> tuple[NDArray[np.float64], ...]:
         """The nodes of the limits along gamma, delta and delay."""
-        return tuple(np.array(axis, np.float64) for axis in (self.gamma, self.delta, self.delay))
+        return tuple(np.array(getattr(self, name), np.float64) for name in PLANT)
 
     @classmethod
     def from_file(cls, path: str | PathLike[str]) -> "AtlasSpec":
@@ -242,8 +243,7 @@ class AtlasSpec:
     @classmethod
     def _from_table(cls, table: dict[str, Any]) -> "AtlasSpec":
         check_keys("", table, [entry.name for entry in fields(cls)])
-        own = ("gamma", "delta", "delay")
-        axes: dict[str, Any] = {name: _axis_of(name, table[name]) for name in own if name in table}
+        axes = {name: _axis_of(name, table[name]) for name in PLANT if name in table}
         made = {name: make(table[name]) for name, make in _MADE.items() if name in table}
         return cls(**(table | axes | made))
 
@@ -254,10 +254,9 @@ class AtlasSpec:
 
     def to_toml(self) -> str:
         """Return the text from which ``from_toml`` makes an equal specification."""
-        own = [entry.name for entry in fields(self) if entry.name != "fields"]
-        lines = _entries(self, own)
+        lines = _entries(self)
         if self.fields is not None:
-            lines += ["", "[fields]", *_entries(self.fields, [e.name for e in fields(FieldSpec)])]
+            lines += ["", "[fields]", *_entries(self.fields)]
         return "\n".join(lines) + "\n"
 
 
@@ -285,9 +284,10 @@ def _count(axis: Any) -> int:
     return axis if isinstance(axis, int) else len(axis)
 
 
-def _entries(holder: Any, names: Sequence[str]) -> list[str]:
-    values = {name: getattr(holder, name) for name in names}
-    return [f"{name} = {_toml(name, value)}" for name, value in values.items() if value is not None]
+def _entries(holder: "AtlasSpec | FieldSpec") -> list[str]:
+    given = {name: value for name, value in vars(holder).items() if value is not None}
+    given.pop("fields", None)
+    return [f"{name} = {_toml(name, value)}" for name, value in given.items()]
 
 
 def _as_written(name: str, value: Velocity | Filter | None) -> Velocity | Filter | None:
