@@ -140,6 +140,15 @@ def test_coefficients_of_any_size_are_told_apart() -> None:
     assert jaxstab.is_schur([1e300, 1e-300]) == Verdict.STABLE
 
 
+@pytest.mark.parametrize("degree", [7, 8, 9])
+def test_a_batch_of_any_degree_is_compiled(rng: np.random.Generator, degree: int) -> None:
+    """At degree 8, modulus and Horner's rule in one kernel took XLA minutes."""
+    given = rng.standard_normal((5, degree + 1))
+    found = jax.jit(jaxstab.radius)(jnp.array(given))
+    roots = [np.max(np.abs(np.roots(p))) for p in given]
+    np.testing.assert_allclose(found.value, roots, rtol=1e-11)
+
+
 @pytest.mark.parametrize(
     ("given", "words"),
     [

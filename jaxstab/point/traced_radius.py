@@ -180,7 +180,10 @@ def _dominant_root(coefficients: Float64[Array, "*grid coefficient"]) -> Complex
     )
     for _ in range(steps):
         root = root - _evaluated(coefficients, root) / _slope(coefficients, root)
-    return jnp.where(jnp.abs(root - guess) < farthest * jnp.abs(guess), root, guess)
+    root = jnp.where(jnp.abs(root - guess) < farthest * jnp.abs(guess), root, guess)
+    # Fused with a modulus, eight steps of Horner's rule take XLA's compiler for CPUs minutes.
+    barred: Array = lax.optimization_barrier(root)
+    return barred
 
 
 def iterated_root(
