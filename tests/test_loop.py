@@ -388,3 +388,9 @@ def test_functions_of_five_numbers_name_the_method() -> None:
         jaxstab.stable_region(OMEGA)
     with pytest.raises(TypeError, match=r"loop.margins\(K, B\)"):
         jaxstab.margins(OMEGA, 1000.0, gamma=0.0, delta=0.0, delay=1.0)
+
+
+@pytest.mark.parametrize("tolerance", [0.0, -1.0, np.nan, 1e-10])
+def test_a_tolerance_that_no_outline_keeps_is_refused(tolerance: float) -> None:
+    with pytest.raises(ValueError, match=f"tolerance is {tolerance}; allowed are finite values"):
+        WINDOW.region(tolerance=tolerance)

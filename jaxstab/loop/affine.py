@@ -300,7 +300,7 @@ class Loop(TwoGains):
               largest  kd = 100 N m s/rad at kp = 0 N m/rad
               islands  none found
         """
-        checked_number("tolerance", tolerance, 1e-10, is_open=True)
+        tolerance = checked_number("tolerance", tolerance, 1e-10, is_open=True)
         return GainRegion(self, region_of(ScaledLoop(self._chart.chart, self._scale), tolerance))
 
     def limits(self) -> GainLimits:

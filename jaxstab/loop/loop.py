@@ -130,6 +130,7 @@ class HapticLoop(LoopParameters, TwoGains):
                 "the loop is traced; its region and distances to it are searched outside of jit, "
                 "vmap and grad: call limits or jaxstab.regions_of, which JAX may trace."
             )
+        tolerance = checked_number("tolerance", tolerance, 1e-10, is_open=True)
         return wall_region(self.in_floats(), tolerance)
 
     @overload
