@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxstab.arrays import Numbers, is_jax, is_traced
+from jaxstab.conventions import Range
 from jaxstab.shown import shortened
 
 
@@ -88,6 +89,14 @@ def checked_number(
     if np.size(numbers) != 1:
         raise TypeError(f"{name} has shape {np.shape(numbers)}; give a single number.")
     return float(np.asarray(numbers).item())
+
+
+def two_ends(name: str, ends: Any, low: int | float = -inf, *, unit: str = "") -> Range:
+    """The ends of a range as numbers from ``low`` on; TypeError unless it has two."""
+    if np.shape(ends) != (2,):
+        raise TypeError(f"{name} is {shortened(ends)}; give its lowest and its highest value.")
+    first, last = (checked_number(name, end, low, unit=unit) for end in ends)
+    return first, last
 
 
 def without_noise(values: Numbers, extent: int | float) -> np.ndarray[Any, np.dtype[np.float64]]:

@@ -173,6 +173,14 @@ def test_200_random_devices_move_as_in_scipy_with_events(rng: np.random.Generato
     assert_runs_are_true(rng, campaign.many(200, 12), 40, random_device)
 
 
+def test_no_walls_have_no_contacts_and_no_responses() -> None:
+    loop = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+    contact = loop.contact([], 10.0, push=1.0, duration=0.1)
+    assert contact.kind.shape == (0,)
+    assert contact.path.position.shape == (0, 100)
+    assert loop.simulate([], 10.0, force=1.0, samples=50).position.shape == (0, 50)
+
+
 def test_a_free_mass_slides_until_friction_stops_it() -> None:
     speed, friction = 0.3, 0.7
     contact = FREE.contact(1.0, 0.0, position=-1.0, speed=speed, friction=friction, duration=0.4)

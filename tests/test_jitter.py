@@ -348,7 +348,7 @@ def test_hands_and_masses_with_lost_samples_need_more_distance() -> None:
     assert loop.worst_hand(hands, 4000.0, 15.0, **moving).verdict == Verdict.STABLE
     assert loop.worst_hand(hands, 4000.0, 15.0, **moving, lost=3).verdict != Verdict.STABLE
     assert loop.worst_hand(hands, 8000.0, 15.0, **moving, lost=3).verdict == Verdict.UNSTABLE
-    with pytest.raises(TypeError, match="give the shortest and the longest delay"):
+    with pytest.raises(TypeError, match="its lowest and its highest value"):
         loop.worst_hand(HandRange(), 4000.0, 15.0, lost=1)
 
 
@@ -471,12 +471,12 @@ def test_segments_are_those_of_the_newest_sample() -> None:
         ((-1e-3, 0.0), 0, ValueError, "delays is -0.001"),
         ((0.0, 0.6), 0, ValueError, "500 samples"),
         ((0.0, 0.499), 2, ValueError, "500 samples in all"),
-        ((0.0,), 0, TypeError, "the shortest and the longest"),
-        (1e-3, 0, TypeError, "the shortest and the longest"),
+        ((0.0,), 0, TypeError, "its lowest and its highest value"),
+        (1e-3, 0, TypeError, "its lowest and its highest value"),
         ((0.0, np.nan), 0, ValueError, "delays is nan"),
         ((0.0, 1e-3), -1, ValueError, "lost is -1"),
         ((0.0, 1e-3), 1.5, TypeError, "lost is 1.5"),
-        (None, 1, TypeError, "the shortest and the longest"),
+        (None, 1, TypeError, "its lowest and its highest value"),
     ],
 )
 def test_ranges_that_are_none_are_refused(

@@ -347,6 +347,11 @@ def test_the_limit_is_not_below_a_wall_near_the_top_of_all_stable_sets(
 def test_what_is_no_range_of_hands_is_refused() -> None:
     with pytest.raises(TypeError, match=r"hands is 1.0; give a jaxstab.HandRange"):
         checked_range(1.0)
+    for ends in (1.0, (0.0,), (0.0, 1.0, 2.0)):
+        hands: Any = HandRange.__new__(HandRange)  # past the annotations, which users have not
+        vars(hands).update(mass=ends, stiffness=(0.0, 0.0), damping=(0.0, 0.0))
+        with pytest.raises(TypeError, match=r"hands.mass is .*; give its lowest and its highest"):
+            checked_range(hands)
 
 
 def test_a_short_way_is_bracketed_as_tightly_as_rounding_allows() -> None:

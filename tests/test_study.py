@@ -449,7 +449,7 @@ def test_parts_that_do_not_go_together_are_refused(tmp_path: Path) -> None:
         ([one, two, one], r"1\.h5 and .*1\.h5 are the same part"),
         ([one, two, other], r"other\.h5 and .*1\.h5 are parts of different studies"),
         ([one, two, whole], r"whole\.h5 is no part of a study"),
-        ([], "part 1 of 1 is missing; give the files of all parts"),
+        ([], "no file is given; give those of all parts"),
     ):
         with pytest.raises(ValueError, match=words):
             studies.merged(parts)

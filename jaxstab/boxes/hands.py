@@ -6,7 +6,7 @@ stiffness and damping (lemma B20 of docs/proofs.md).
 
 from dataclasses import dataclass
 from itertools import product
-from math import inf, sqrt
+from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from jaxstab.boxes.plant import Arms, DeviceBoxes, Extent
 from jaxstab.boxes.search import paved
 from jaxstab.conventions import Range
 from jaxstab.model import Device, LoopParameters
+from jaxstab.numbers import two_ends
 
 Members = Float64[np.ndarray, "member 5"]
 """Mass, stiffness and damping of hands; the device's mass in kg, and the delay in samples."""
@@ -44,17 +45,20 @@ class HandRange:
 def checked_range(hands: object, mass: Range | None = None, device: Device | None = None) -> None:
     """Validate hands, and the masses or the device that they hold.
 
-    TypeError unless a HandRange; ValueError unless ends are in order and not negative, and it is
-    known where a hand holds the device.
+    TypeError unless a HandRange of pairs; ValueError unless ends are in order and not negative, and
+    it is known where a hand holds the device.
     """
-    if mass is not None and not 0.0 < mass[0] <= mass[1] < inf:
-        raise ValueError(
-            f"mass is {mass}; give the lowest mass of the device, > 0, and the highest one."
-        )
+    if mass is not None:
+        low, high = two_ends("mass", mass)
+        if not 0.0 < low <= high:
+            raise ValueError(
+                f"mass is {mass}; give the lowest mass of the device, > 0, and the highest one."
+            )
     if not isinstance(hands, HandRange):
         raise TypeError(f"hands is {hands!r}; give a jaxstab.HandRange, as HandRange(mass=(0, 1)).")
-    for name, (low, high) in vars(hands).items():
-        if not 0.0 <= low <= high < inf:
+    for name, ends in vars(hands).items():
+        low, high = two_ends(f"hands.{name}", ends)
+        if not 0.0 <= low <= high:
             raise ValueError(
                 f"hands.{name} is ({low}, {high}); give the lowest, >= 0, and the highest value."
             )

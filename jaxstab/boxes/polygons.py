@@ -20,7 +20,7 @@ from jaxstab.model import by_name, checked_delay, checked_delta, checked_gamma
 from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, known_filters
 from jaxstab.model.loop import unit_loop
 from jaxstab.model.parameters import wall_grid
-from jaxstab.numbers import checked_number
+from jaxstab.numbers import checked_number, two_ends
 from jaxstab.point import verdict
 from jaxstab.region.region import stable_region
 from jaxstab.region.stable_set import RegionStatus, StableRegion
@@ -130,8 +130,9 @@ def robust_region(
         ('PROVED', 0.044)
     """
     filters = known_filters(velocity, position)
+    gamma, delta = two_ends("gamma", gamma), two_ends("delta", delta)
     for name, ends, check in (("gamma", gamma, checked_gamma), ("delta", delta, checked_delta)):
-        check(np.asarray(ends, np.float64))
+        check(np.asarray(ends))
         if not ends[0] <= ends[1]:
             raise ValueError(f"{name} is {ends}; give the lower end first.")
     checked_delay(delay)

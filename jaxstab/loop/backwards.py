@@ -34,7 +34,7 @@ from jaxstab.model.device.device import in_steps
 from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.model.filters import Filter, Velocity, with_number
 from jaxstab.model.parameters import LONGEST_DELAY
-from jaxstab.numbers import checked_count, checked_number, checked_word
+from jaxstab.numbers import checked_count, checked_word, two_ends
 from jaxstab.shown import number_text
 
 if TYPE_CHECKING:
@@ -156,7 +156,7 @@ class Scan(NamedTuple):
         """The scan in other limits, if these are given."""
         if between is None:
             return self
-        low, high = (checked_number("between", end, 0.0) for end in between)
+        low, high = two_ends("between", between, 0.0)
         kept = [value for value in self.values if low <= value <= high]
         if not low < high or (self.is_complete and not kept):
             raise ValueError(f"between is {between}; give the lowest value, and a higher one.")

@@ -179,7 +179,7 @@ def contact(loop: LoopParameters, stiffness: Numbers, damping: Numbers, **option
         # Numbers of Python are several times faster here.
         runs = Runs(*(column.item() for column in runs))
     summary, (x, v, f) = paths(setup.plant, setup.controller, runs, setup.samples, setup.sides)
-    x, v, f = (np.moveaxis(path, 0, -1).reshape(*setup.shape, -1) for path in (x, v, f))
+    x, v, f = (np.moveaxis(path, 0, -1).reshape(*setup.shape, len(path)) for path in (x, v, f))
     x = np.where(x < LIMIT, x, np.nan)  # given up
     time = setup.period * np.arange(setup.samples)
     return setup.answer(summary, Response(time, x, v / setup.period, f * setup.unit))

@@ -49,8 +49,8 @@ def simulated_pd(
         integrator: "semi-implicit", MuJoCo's Euler with eulerdamp disabled; "implicit-joint", its
             Euler as shipped, in which joint damping is implicit; "implicit-damping", its implicit
             and implicitfast, in which kd is implicit, too; "implicit", kp and kd both, the stable
-            PD of Tan, Liu, Turk (2011); "explicit", forward Euler; "rk4", Runge-Kutta, outside
-            only.
+            PD of Tan, Liu, Turk (2011), a passive spring explicit; "explicit", forward Euler;
+            "rk4", Runge-Kutta, outside only.
         outside: True for a PD that is computed outside of the engine.
         substeps: engine steps per control step, from 1 on; more than 1 is outside.
         delay_steps: engine steps by which the torque is late, 0 or more; not 0 is outside.

@@ -25,7 +25,7 @@ from jaxstab.model.balls import ball_loop, ball_triple
 from jaxstab.model.device.sampling import late_cosines
 from jaxstab.model.parameters import LONGEST_DELAY, wall_grid
 from jaxstab.motion.moving_delays import Delays, growing_turn
-from jaxstab.numbers import checked_number
+from jaxstab.numbers import checked_number, two_ends
 from jaxstab.rounding import EPS
 from jaxstab.shown import exact_text, shortened
 
@@ -268,12 +268,7 @@ def turn_of(loop: LoopParameters, delays: Any) -> tuple[float, ...]:
 
 
 def _checked_range(delays: Any) -> Range:
-    if np.shape(delays) != (2,):
-        raise TypeError(
-            f"delays is {shortened(delays)}; give the shortest and the longest delay in s, "
-            "(low, high)."
-        )
-    low, high = (checked_number("delays", delay, 0.0, unit="s") for delay in delays)
+    low, high = two_ends("delays", delays, 0.0, unit="s")
     if low > high:
         raise ValueError(f"delays are from {low:g} to {high:g} s; give the shortest one first.")
     return low, high

@@ -410,7 +410,7 @@ def _simulate(
     causes = xp.stack([xp.moveaxis(xp.asarray(cause), 0, -1) for cause in history])
     paths = xp.einsum("ork,k...s->r...so", seen, causes)
     held = xp.where(early, causes[-3][..., None], causes[-2][..., None])
-    x, v, f = (xp.reshape(path, (*path.shape[:-2], -1)) for path in (*paths, held))
+    x, v, f = (path.reshape(*path.shape[:-2], prod(path.shape[-2:])) for path in (*paths, held))
     return x, v, f
 
 

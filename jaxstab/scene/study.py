@@ -372,6 +372,8 @@ def merged(paths: Sequence[Path]) -> "Dataset":
     """
     part = r"(\d{1,7}) of ((\d{1,7}) along (\w+) of study .*)"  # as an attribute of its table
     parts, about, along = dict[int, tuple[Path, Any]](), "1", ""
+    if not paths:
+        raise ValueError("no file is given; give those of all parts.")
     for path in paths:
         table = read(path)
         found = re.fullmatch(part, str(table.attrs.pop("part", "")))
