@@ -642,6 +642,19 @@ def scene_with(**changes: dict[str, Any]) -> Scene:
     return Scene.from_table(table)
 
 
+def test_of_several_masses_that_at_the_handle_alone_has_the_speed() -> None:
+    mode = {"frequency": 90.0, "damping_ratio": 0.02, "modal_mass": 0.3}
+    only = {"push": 0.0, "speed": 0.1, "duration": 0.2}
+    starts = [
+        simulate_contacts(scene_with(device=device, contact=only)).walls["soft"].worst_start
+        for device in ({}, {"modes": [mode]})
+    ]
+    assert [start.partition(",")[0] for start in starts] == [
+        "at 0.1 m/s",
+        "the handle struck to 0.1 m/s",
+    ]
+
+
 def test_a_scene_answers_with_the_worst_of_its_starts() -> None:
     contacts = simulate_contacts(scene_with())
     hard, soft = contacts.walls["hard"], contacts.walls["soft"]
