@@ -118,7 +118,7 @@ def checked_count(name: str, value: Any, least: int, most: int | float = inf) ->
 
 def checked_word(name: str, value: Any, allowed: Mapping[str, Any] | tuple[str, ...]) -> str:
     """One of some words, else ValueError."""
-    if value not in tuple(allowed):
+    if not isinstance(value, str) or value not in allowed:
         words = ", ".join(f'"{word}"' for word in allowed)
         raise ValueError(f"{name} is {value!r}; give one of {words}.")
     return str(value)

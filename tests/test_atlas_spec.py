@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -128,6 +129,16 @@ def test_a_bad_file_is_named(tmp_path: Path) -> None:
         AtlasSpec.from_file(path)
     with pytest.raises(FileNotFoundError):
         AtlasSpec.from_file(tmp_path / "missing.toml")
+
+
+@pytest.mark.parametrize("values", [np.array(5.0), np.ones((2, 2))])
+def test_an_axis_is_a_list_of_numbers(values: Any) -> None:
+    with pytest.raises(TypeError, match=r"axis gamma is .*; give a list"):
+        AtlasSpec(gamma=values)
+
+
+def test_a_count_of_numpy_is_a_count() -> None:
+    assert FieldSpec(alpha=np.int64(20)) == FieldSpec(alpha=20)
 
 
 def test_a_fitted_axis_is_only_for_the_gains() -> None:

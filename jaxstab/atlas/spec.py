@@ -31,6 +31,7 @@ from jaxstab.model.filters import (
     known_filters,
 )
 from jaxstab.numbers import checked_count, checked_number, checked_word
+from jaxstab.shown import shortened
 from jaxstab.tables import check_keys, parsed, read_table
 
 # Velocity estimators and position filters as a specification writes them, per sample. No JAX.
@@ -132,8 +133,9 @@ class FieldSpec:
     def __post_init__(self) -> None:
         for name in AXES:
             value = getattr(self, name)
-            if name in _FITTED and isinstance(value, int):
-                checked_count(f"{name}.fitted", value, 8, LARGEST_SLICE)
+            if name in _FITTED and isinstance(value, int | np.integer):
+                count = checked_count(f"{name}.fitted", value, 8, LARGEST_SLICE)
+                object.__setattr__(self, name, count)
             elif value is not None:
                 object.__setattr__(self, name, _checked_nodes(name, value))
         checked_word("where", self.where, ("near", "all"))
@@ -329,8 +331,9 @@ def _spaced(name: str, start: Any, stop: Any, count: Any, spacing: Any = "linear
 def _checked_nodes(name: str, values: Any) -> tuple[float, ...]:
     least_share = 2.0**-24  # of the larger of its ends: rounding swallows no cell of a span
     least_span = 1e-300  # of alpha and beta: cells to it do not overflow
-    if isinstance(values, str | Mapping) or not isinstance(values, Sequence | np.ndarray):
-        raise TypeError(f"axis {name} is {values!r}; give a list of numbers.")
+    is_list = isinstance(values, Sequence | np.ndarray) and not isinstance(values, str)
+    if not is_list or getattr(values, "ndim", 1) != 1:
+        raise TypeError(f"axis {name} is {shortened(values)}; give a list of numbers.")
     limits = {"alpha": (-math.inf, math.inf), "beta": (-math.inf, math.inf)}
     lower, upper = limits.get(name, (0.0, 100.0 if name == "delay" else math.inf))
     nodes = tuple(checked_number(f"axis {name}", value, lower, upper) for value in values)

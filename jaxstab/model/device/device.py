@@ -267,7 +267,8 @@ class Device:
         Raises: see ``jaxstab.conventions``; TypeError also if a mode is not a Mode, ValueError if
         there is neither a mode nor a mass.
         """
-        for mode in modes:
+        given: Any = modes
+        for mode in given if isinstance(given, Sequence) else [given]:
             if not isinstance(mode, Mode):
                 raise TypeError(f"modes has {mode!r}; give jaxstab.Mode(...) for each mode.")
         if mass is None and not modes:
