@@ -16,12 +16,13 @@ from march import (
     march_through_filters,
 )
 from mpmath import mp
+from scipy.linalg import expm
 
 import jaxstab
 from benchmarks.truth import loop as truth
 from jaxstab import HapticLoop, Velocity
 from jaxstab.model import by_name
-from jaxstab.motion.response import Loops, positions
+from jaxstab.motion import response
 from jaxstab.results import SettlingStatus
 
 LONG = 4000  # samples, enough for every loop below to come to rest
@@ -280,15 +281,39 @@ class TestDominantMode:
         assert float(mode.frequency) == pytest.approx(hertz, rel=1e-10)
 
 
-@pytest.mark.parametrize("samples", [1, 32, 33, 2048, 2049, 5000])
-def test_positions_are_those_of_one_step_after_the_other(samples: int) -> None:
-    """As many as asked for at least; a rotation that decays has a closed form."""
-    angles = np.array([0.02, 0.3])
-    decay = np.exp(-1e-3)
-    turns = [[np.cos(angles), np.sin(angles)], [-np.sin(angles), np.cos(angles)]]
-    start = np.broadcast_to([1.0, 0.0], (2, 2))
-    found = positions(Loops(decay * np.moveaxis(np.array(turns), 2, 0), start), samples)
-    assert samples <= found.shape[1] <= max(2 * samples, samples + 2048)
-    time = np.arange(found.shape[1])
-    expected = decay**time * np.cos(angles[:, None] * time)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11)
+@pytest.mark.parametrize(
+    ("delay", "samples", "count", "way"),
+    [
+        (0, 1, 3, "_by_powers"),
+        (0, 33, 3, "_by_powers"),
+        (0, 2049, 3, "_by_powers"),
+        (2, 5000, 3, "_by_powers"),
+        (20, 300, 500, "_stepped"),
+        (60, 700, 200, "_stepped"),
+        (60, 6000, 200, "_stepped"),  # in two parts
+    ],
+)
+def test_deviations_are_those_of_one_step_after_the_other(
+    delay: int, samples: int, count: int, way: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Judged by scipy's exponential of a mass under a held force."""
+    other = {"_stepped": "_by_powers", "_by_powers": "_stepped"}[way]
+    monkeypatch.setattr(response, other, None)  # that is not asked
+    mass, rubbing, period = 0.25, 0.1, 1e-3
+    loop = HapticLoop(
+        device_mass=mass, device_damping=rubbing, sample_time=period, delay=delay * period
+    )
+    stiffness, damping = np.linspace(1.0, 4.0, count), np.linspace(0.5, 1.5, count)
+    found = list(response.deviations(loop, stiffness, damping, "force", samples))
+    matrix = np.array([[0.0, 1.0, 0.0], [0.0, -rubbing / mass, 1.0 / mass], [0.0] * 3])
+    step = expm(matrix * period)[:2]
+    x, v, before = -np.ones(count), np.zeros(count), -np.ones(count)
+    waiting, expected = [stiffness] * delay, []  # forces, less that at rest
+    for _ in range(samples):
+        expected.append(x)
+        waiting.append(-(stiffness * x + damping * (x - before) / period))
+        before = x
+        x, v = step @ np.array([x, v, waiting.pop(0)])
+    for own, deviation in found:
+        np.testing.assert_allclose(deviation, np.array(expected).T[own], rtol=0, atol=1e-9)
+    assert sum(len(deviation) for _, deviation in found) == count

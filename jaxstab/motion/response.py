@@ -12,7 +12,7 @@ off its difference equations, entry by entry, from unit memories.
 """
 
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from decimal import ROUND_HALF_EVEN
 from functools import cached_property, lru_cache, reduce
@@ -454,9 +454,12 @@ def _simulate_in_turn(
     return x, v, f
 
 
+Step = Callable[[Any], tuple[Any, tuple[Array, ...]]]
+
+
 def _step_of(
     rows: Any, controller: Controller, walls: Sequence[Array], *, unilateral: bool
-) -> Callable[[Any], tuple[Any, tuple[Array, ...]]]:
+) -> Step:
     """The step from sample to sample: the next state, and what moves the plant until then.
 
     The state: that of the plant, the memory of the controller, the force at the end of the last
@@ -496,22 +499,13 @@ def _require_excitation(*causes: Array) -> None:
         )
 
 
-# Many walls side by side, without a hand's push: the deviation from rest follows s -> A s from s_0.
+# Many walls side by side, without a hand's push: the deviation from rest.
 
-STRETCH = 32  # samples, a power of two, that follow from one state by rows
+_STRETCH = 32  # samples, a power of two, that follow from one state by rows
 _BLOCK = 64  # states of one product, so few that BLAS does not share them out to threads
+_NUMBERS = 1 << 20  # of an array that walls side by side fill, about
 
-Lanes = Float64[np.ndarray, " loop"]
-
-
-class Loops(NamedTuple):
-    """Loops side by side: s -> A s, from s_0 on.
-
-    The position, the first state, is in units of the final displacement, or of the velocity.
-    """
-
-    transition: Matrices
-    start: Float64[np.ndarray, "loop state"]
+Lanes = Float64[np.ndarray, " wall"]
 
 
 def controller_for(filters: Filters | None) -> Controller:
@@ -526,50 +520,84 @@ _remembered_controller = lru_cache(maxsize=64)(Controller.from_filters)
 
 
 def deviations(
-    loop: LoopParameters, stiffness: Lanes, damping: Lanes, excitation: Excitation
-) -> Loops:
-    """Walls of a loop in plain numbers, side by side, as they come to rest; in SI units.
+    loop: LoopParameters, stiffness: Lanes, damping: Lanes, excitation: Excitation, samples: int
+) -> Iterator[tuple[slice, Float64[np.ndarray, "wall sample"]]]:
+    """The sampled deviations of walls of a loop in plain numbers as they come to rest; in SI units.
 
-    A is the step of a simulation, taken from each unit state.
+    Some walls at a time, as many as memory allows. Positions are in units of the final
+    displacement, or of the velocity after a blow. They are those of a simulation, or of powers of
+    its step A: of few states and many samples these take less time.
     """
     period, (whole, fraction) = loop.sample_time, divmod(loop.delay_samples, 1.0)
     moves = mechanics(loop.held_device, period, fraction, (1.0,))
     controller = controller_for(given_filters(**loop.filters))
-    if excitation == "impact":
-        position, plant, force = 0.0, moves.starts.blow, 0.0 * stiffness
-    else:
-        position, memory = -1.0, controller.at_rest(1.0)
-        force = controller.step(1.0, memory)[0] * stiffness  # less that at rest
-        plant = np.where(moves.starts.follows, force[:, None], -moves.starts.at_rest)
-    plant = np.broadcast_to(plant, (stiffness.size, len(moves.starts.at_rest)))
-    waiting = (force,) * int(whole)
-    begun = tuple(plant.T), controller.at_rest(position), force, waiting
-    start = np.stack(np.broadcast_arrays(*leaves(begun)), axis=-1)
-    walls = stiffness[:, None], damping[:, None] / period, 0.0
-    step = _step_of(moves.rows[-1].tolist(), controller, walls, unilateral=False)
-    unit_states = iter(np.eye(start.shape[1]))
-    after, _ = step(tree_map(lambda _: next(unit_states), begun))
-    columns = [np.broadcast_to(row, start.shape) for row in leaves(after)]
-    return Loops(np.stack(columns, axis=1), start)
+
+    def begun(stiffness: Lanes) -> Any:
+        if excitation == "impact":
+            position, plant, force = 0.0, moves.starts.blow, 0.0 * stiffness
+        else:
+            position, memory = -1.0, controller.at_rest(1.0)
+            force = controller.step(1.0, memory)[0] * stiffness  # less that at rest
+            plant = np.where(moves.starts.follows, force[:, None], -moves.starts.at_rest)
+        plant = np.broadcast_to(plant, (stiffness.size, len(moves.starts.at_rest)))
+        return tuple(plant.T), controller.at_rest(position), force, (force,) * int(whole)
+
+    def step_of(stiffness: Array, damping: Array) -> Step:
+        walls = stiffness, damping / period, 0.0
+        return _step_of(moves.rows[-1].tolist(), controller, walls, unilateral=False)
+
+    states, plant = sum(1 for _ in leaves(begun(stiffness[:1]))), len(moves.starts.at_rest)
+    by_steps = max(1, _NUMBERS // samples)  # walls
+    together, products = min(by_steps, max(stiffness.size, 1)), plant * (plant + 3)
+    of_steps = samples * products * (1.5e-6 / together + 5e-10)  # s a wall, about
+    of_powers = (20.0 * states**3 + 2.0 * samples * states) / 3e9
+    is_stepped = of_steps < of_powers
+    by_powers = max(1, _NUMBERS // (samples + states * (states + _STRETCH)))
+    count = by_steps if is_stepped else by_powers
+    for first in range(0, stiffness.size, count):
+        own = slice(first, first + count)
+        walls = stiffness[own], damping[own]
+        start = begun(walls[0])
+        with np.errstate(all="ignore"):  # unstable walls overflow
+            if is_stepped:
+                found = _stepped(step_of(*walls), start, samples)
+            else:
+                step = step_of(*(gain[:, None] for gain in walls))
+                found = _by_powers(step, start, samples)
+        yield own, found
 
 
-def positions(loops: Loops, samples: int) -> Float64[np.ndarray, "loop sample"]:
-    """The sampled deviations of loops, at least as many as requested."""
-    power, states = loops.transition, loops.start[:, None]
+def _stepped(step: Step, start: Any, samples: int) -> Float64[np.ndarray, "wall sample"]:
+    """The first state at the beginning of each step."""
+
+    def seen(state: Any) -> tuple[Any, Array]:
+        after, causes = step(state)
+        return after, causes[0]
+
+    return np.array(repeat_and_keep(samples, seen, start)[1]).T
+
+
+def _by_powers(step: Step, start: Any, samples: int) -> Float64[np.ndarray, "wall sample"]:
+    """The same by powers of A, the step taken from each unit state."""
+    states = np.stack(np.broadcast_arrays(*leaves(start)), axis=-1)[:, None]
+    unit_states = iter(np.eye(states.shape[2]))
+    after, _ = step(tree_map(lambda _: next(unit_states), start))
+    columns = [np.broadcast_to(row, states[:, 0].shape) for row in leaves(after)]
+    power = np.stack(columns, axis=1)
     rows = np.zeros_like(states)  # of the position, times A^i
     rows[..., 0] = 1.0
-    while rows.shape[1] < STRETCH:
+    while rows.shape[1] < _STRETCH:
         rows = np.concatenate([rows, rows @ power], axis=1)
         power = power @ power
-    stretches = ceil(samples / STRETCH)
+    stretches = ceil(samples / _STRETCH)
     while states.shape[1] < stretches:
         later = _mapped(power, states[:, : stretches - states.shape[1]])
         states, power = np.concatenate([states, later], axis=1), power @ power
-    return _mapped(rows, states).reshape(len(power), -1)
+    return _mapped(rows, states).reshape(len(power), -1)[:, :samples]
 
 
-def _mapped(matrices: Matrices, states: np.ndarray) -> Float64[np.ndarray, "loop stretch row"]:
-    """The products of each loop's matrix and its states."""
+def _mapped(matrices: Matrices, states: np.ndarray) -> Float64[np.ndarray, "wall stretch row"]:
+    """The products of each wall's matrix and its states."""
     turned = np.swapaxes(matrices, 1, 2)
     blocks = range(0, states.shape[1], _BLOCK)
     return np.concatenate([states[:, k : k + _BLOCK] @ turned for k in blocks], axis=1)

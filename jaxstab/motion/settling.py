@@ -5,7 +5,6 @@ time on are bounded by lemma E4 of docs/proofs.md, and those before are looked a
 """
 
 from collections.abc import Callable, Sequence
-from math import ceil
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
@@ -19,7 +18,7 @@ from jaxstab.model import LoopParameters, checked_delay, checked_gain, require_x
 from jaxstab.model.filters import Filter, Velocity
 from jaxstab.model.loop import unit_loops
 from jaxstab.model.parameters import checked_delta, checked_gamma
-from jaxstab.motion.response import Column, answer_text, deviations, positions
+from jaxstab.motion.response import Column, answer_text, deviations
 from jaxstab.numbers import checked_count, checked_number, checked_word
 from jaxstab.point.verdicts import linear_verdict
 
@@ -156,20 +155,18 @@ def likely_settling(
 
     They are those of the motion in float64 up to the horizon; NaN where that says too little.
     """
-    numbers = 1 << 20  # of an array that loops side by side fill, about
     gains = np.broadcast_arrays(*float_arrays(stiffness, damping))
     walls = np.array([np.ravel(gain) for gain in gains])
     codes = linear_verdict(loop.alpha(walls[0]), loop.beta(walls[1]), loop.linear)
     samples, stable = np.full(walls.shape[1], np.nan), np.flatnonzero(codes != Verdict.UNSTABLE)
-    blocks = ceil(stable.size * horizon / numbers)
-    for members in np.array_split(stable, blocks) if blocks else []:
-        loops = deviations(loop, walls[0, members], walls[1, members], excitation)
+    alive = walls[0, stable], walls[1, stable]
+    for own, deviation in deviations(loop, *alive, excitation, horizon):
+        size = np.abs(deviation)
         with np.errstate(all="ignore"):  # unstable walls overflow
-            size = np.abs(positions(loops, horizon)[:, :horizon])
-        peak = size.max(axis=1, keepdims=True) if excitation == "impact" else 1.0
-        outside = ~(size <= level * peak)
+            peak = size.max(axis=1, keepdims=True) if excitation == "impact" else 1.0
+            outside = ~(size <= level * peak)
         since = np.where(outside.any(axis=1), horizon - np.argmax(outside[:, ::-1], axis=1), 0)
-        samples[members] = np.where(since <= 0.75 * horizon, since, np.nan)
+        samples[stable[own]] = np.where(since <= 0.75 * horizon, since, np.nan)
     return samples.reshape(gains[0].shape) * loop.sample_time
 
 

@@ -18,7 +18,7 @@ from jaxstab.conventions import Excitation
 from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.filters import Filter, Velocity, as_keywords, given_filters
 from jaxstab.model.loop import LoopParameters, unit_loop
-from jaxstab.motion.response import STRETCH, Loops, deviations, positions
+from jaxstab.motion.response import deviations
 from jaxstab.motion.settling import Settling, checked_level, loop_settling_samples
 from jaxstab.numbers import checked_number
 from jaxstab.tuning.radius import (
@@ -46,11 +46,6 @@ class TunedLoop(NamedTuple):
         """The settling of walls in samples, for keywords ``level`` and ``excitation``."""
         wall = self.loop.stiffness(np.asarray(alpha)), self.loop.damping(np.asarray(beta))
         return loop_settling_samples(self.loop, *wall, **options)
-
-    def deviations(self, alpha: np.ndarray, beta: np.ndarray, excitation: Excitation) -> Loops:
-        """The recursions by which walls, side by side, come to rest."""
-        wall = self.loop.stiffness(alpha), self.loop.damping(beta)
-        return deviations(self.loop, *wall, excitation)
 
 
 def minimize_settling(
@@ -215,14 +210,11 @@ def _of_tails(
     within the level at its sample.
     """
     sample, level, slowest = seen
-    size = loop.deviations(alphas[:1], betas[:1], excitation).transition.shape[1]
-    count = max(1, (1 << 20) // (length + size * (size + STRETCH)))  # walls side by side
-    values = []
-    for begin in range(0, alphas.size, count):
-        alpha, beta = alphas[begin : begin + count], betas[begin : begin + count]
-        with np.errstate(all="ignore"):  # unstable walls overflow
-            deviation = np.abs(positions(loop.deviations(alpha, beta, excitation), length))
-            tails = np.maximum.accumulate(deviation[:, ::-1], axis=1)[:, ::-1]
+    walls, values = (loop.loop.stiffness(alphas), loop.loop.damping(betas)), []
+    for own, deviation in deviations(loop.loop, *walls, excitation, length):
+        alpha, beta = alphas[own], betas[own]
+        with np.errstate(all="ignore"):
+            tails = np.maximum.accumulate(np.abs(deviation)[:, ::-1], axis=1)[:, ::-1]
             if excitation == "impact":
                 tails = tails / tails[:, :1]
         tails = np.nan_to_num(tails, nan=np.inf, posinf=np.inf)
