@@ -118,9 +118,8 @@ def test_intervals_are_called_without_zeros_or_monotone_only_if_they_are() -> No
         nearest = [float(np.min(own, initial=np.inf)) for own in gaps]
         half = min(float(rng.choice(nearest)), 1.0) * float(rng.uniform(0.3, 1.05))
         answers = part.on(flint.arb(centre), flint.arb(half))
-        closely = part.on_closely(flint.arb(centre), flint.arb(half))
         for k, gap in enumerate(nearest):
-            is_without = bool(answers[k] or closely[k])
+            is_without = bool(answers[k])
             said[2 * k + is_without] += 1
             assert not (is_without and gap < half * (1.0 - 1e-9))
     assert np.all(said > 300)

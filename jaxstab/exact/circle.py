@@ -22,8 +22,7 @@ Within the cell, on an interval of half-width r around m, with P(m + r t) = q_0 
     no zero if     |q_0| > |q_1| + |q_2| + |q_3| + ... + E,
     at most one if |q_1| > 2 |q_2| + 3 |q_3| + ... + r E',    E' the same bound for f' - P',
 
-else it is halved. For most intervals the first three terms do, with a bound of the rest: r^3 times
-a sixth of the third derivative, its terms by their moduli at |m| + r.
+else it is halved.
 
 A monotone interval with unlike signs at its ends has one zero. Newton's iteration finds it in
 numbers, then one step of it in balls proves it: where T is a ball around x and
@@ -166,37 +165,20 @@ class _Cells:
 
 
 class _Part(NamedTuple):
-    """A cosine sum on a cell, t from -1 to 1: P, P', P"/2, a bound of the sixth of the next one.
-
-    ``missed``: by P and by P'.
-    """
+    """A cosine sum on a cell, t from -1 to 1: P and P', and what is ``missed`` by both."""
 
     value: "arb_poly"
     slope: "arb_poly"
-    bend: "arb_poly"
-    third: "arb_poly"
     missed: "arb"
     slope_missed: "arb"
 
     @classmethod
     def of(cls, p: "arb_poly", missed: "arb") -> "_Part":
         """The part of a polynomial."""
-        slope = p.derivative()
-        bend = slope.derivative() * arb(0.5)
-        third = arb_poly([c.abs_upper() / 3 for c in bend.derivative().coeffs()])
-        return cls(p, slope, bend, third, missed, missed * p.length())
+        return cls(p, p.derivative(), missed, missed * p.length())
 
     def on(self, centre: "arb", half: "arb") -> tuple[bool, bool]:
-        """True for no zero, and for at most one, so far around a centre; by three terms."""
-        f, slope = self.value(centre) + self.missed, self.slope(centre) + self.slope_missed
-        bend, third = abs(self.bend(centre)), half * self.third(abs(centre) + half)
-        return (
-            abs(f) > half * (abs(slope) + half * (bend + third)),
-            abs(slope) > half * (2 * bend + 3 * third),
-        )
-
-    def on_closely(self, centre: "arb", half: "arb") -> tuple[bool, bool]:
-        """The same by all terms."""
+        """True for no zero, and for at most one, so far around a centre, by Taylor's terms."""
         f, slope, *others = self.value(arb_poly([centre, half])).coeffs()
         sizes = [abs(c) for c in others]
         bend = sum((k * size for k, size in enumerate(sizes, start=2)), arb(0))
@@ -247,8 +229,6 @@ def _isolated(part: _Part, first: "tuple[arb, int]", last: "tuple[arb, int]") ->
         centre = ((a + b) / 2).mid()
         half = ((b - a) / 2).abs_upper() + ((a + b) / 2 - centre).abs_upper()
         is_without, is_monotone = part.on(centre, half)
-        if not (is_without or is_monotone):
-            is_without, is_monotone = part.on_closely(centre, half)
         if is_without:
             continue
         if sign_a and sign_b and is_monotone:
