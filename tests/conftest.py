@@ -52,6 +52,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     """Fill batches to one degree: a program takes 10 s and 0.5 GB. Campaigns have all degrees."""
     annotations.begin()
     many._DEGREES = _DEGREES if item.get_closest_marker("campaign") else _ONE_DEGREE
+    many._FEWEST = dict.fromkeys(_DEGREES, 64)  # else hardly any test would compile
 
 
 @pytest.fixture(autouse=True)

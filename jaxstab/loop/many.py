@@ -45,6 +45,8 @@ _AT_ONCE = 256  # loops that a program takes
 _FORMED = 2048  # loops of one mass that are formed at once
 _SCANS = 3  # of a loop, at most
 _DEGREES = (5, 9, 17, 25, 41, 65)  # up to which p(z) are filled: each program takes memory
+_FEWEST = dict(zip(_DEGREES, (400, 400, 400, 400, 64, 64), strict=True))
+"""Loops of a degree that take as long one by one as to compile a program."""
 
 
 Indices = Int64[np.ndarray, " _"]
@@ -98,10 +100,11 @@ def limits_of(loops: Any, **fields: Any) -> "ManyLimits | ManyGainLimits":
     Give a list of loops, or one whose fields are arrays that broadcast; or a list of ``Loop``, of
     any two gains each.
 
-    The answers are those of ``HapticLoop.limits`` to 1e-9, without islands. Batches of at least 64
-    loops of about the same degree are computed by one program of JAX, in float64 whatever its flag
-    says, and first compiled in 10 to 20 s (``use_compilation_cache`` keeps that). Loops that it
-    does not resolve, and those of smaller batches, are answered one by one.
+    The answers are those of ``HapticLoop.limits`` to 1e-9, without islands. Batches of at least 400
+    loops of about the same degree, 64 of degrees above 25, are computed by one program of JAX, in
+    float64 whatever its flag says, and first compiled in 10 to 20 s (``use_compilation_cache``
+    keeps that). Loops that it does not resolve, and those of smaller batches, are answered one by
+    one.
 
     Where JAX traces loops or fields, the answers are arrays of JAX, differentiable once: by all
     numbers of loops of one mass and their filters, by the implicit function theorem. Inside jit,
@@ -483,8 +486,7 @@ def _grouped(formed: Iterable[Formed], compiled: set[int], *, outlines: bool) ->
 
     Loops that are too few to compile for are filled up to the next degree.
     """
-    fewest = 64  # loops of a kind: a program takes as long to compile as these take one by one
-    fewest_compiled = 4  # the same for a program that is compiled
+    fewest_compiled = 4  # loops for a program that is compiled
     waiting: dict[int, list[Formed]] = {degree: [] for degree in _DEGREES}
 
     def groups(own: list[Formed], degree: int) -> Iterator[_Group]:
@@ -505,12 +507,13 @@ def _grouped(formed: Iterable[Formed], compiled: set[int], *, outlines: bool) ->
         if whole:
             own, waiting[degree] = _cut(waiting[degree], whole)
             yield from groups(own, degree)
-    few: list[Formed] = []
+    few, share = list[Formed](), 0.0  # of the time to compile, that they take one by one
     for degree in _DEGREES:
         few += waiting[degree]
-        if _count(few) >= (fewest_compiled if degree in compiled else fewest):
+        share += _count(waiting[degree]) / _FEWEST[degree]
+        if share >= 1.0 or (degree in compiled and _count(few) >= fewest_compiled):
             yield from groups(few, degree)
-            few = []
+            few, share = [], 0.0
 
 
 def _count(formed: list[Formed]) -> int:
