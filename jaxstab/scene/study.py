@@ -360,7 +360,8 @@ def plan_study(
     if source.of_gains:
         table = table.rename({WALL: GAINS}) if WALL in table.dims else table
     axes = " x ".join(f"{length} {name}" for name, length in table.sizes.items())
-    cost = f"{axes}: {loops:,} loops, about {_time(loops * seconds)} of CPU time"
+    start = min(0.02 * loops, 10.0) * ("limits" in wanted)  # a few one by one, or to compile
+    cost = f"{axes}: {loops:,} loops, about {_time(loops * seconds + start)} of CPU time"
     return StudyPlan(table, [*notes, f"{cost}, {max(table.nbytes / 1e6, 1e-3):.3g} MB"])
 
 
