@@ -797,9 +797,9 @@ class HapticLoop(LoopParameters, TwoGains):
             force_step: resolution of the force in N; 0 for none.
             max_force: the largest force of the actuator in N; None for no limit.
             push: constant force of the hand in N, from time 0 on, positive into the wall.
-            speed: of the handle at time 0 in m/s, positive into the wall. Of several masses that
-                at the handle was struck: the others are at rest, and a device that arrives as a
-                whole has more energy; a push from a position outside lets it arrive.
+            speed: of the handle at time 0 in m/s, positive into the wall. In a device of several
+                masses only the mass at the handle moves then, as after a blow. One that arrives as
+                a whole has more energy: start it outside of the wall, with a push.
             position: position at time 0 in m, the penetration if positive.
             one_sided: the wall acts only where the sampled position is positive.
             pulls: True for a one-sided wall that may pull; otherwise such forces are 0.

@@ -61,10 +61,10 @@ def joints_of(model: Any, postures: int) -> dict[str, Joint]:
     least, greatest = _inertias(model, postures)
     reasons, servos, joints = _reasons(model), _other_servos(model), {}
     no_springs, no_dampers = (_is_off(model, name) for name in ("SPRING", "DAMPER"))
-    for index, kind in enumerate(model.jnt_type.tolist()):
+    for index, (name, kind) in enumerate(zip(_names(model), model.jnt_type.tolist(), strict=True)):
         place = model.jnt_dofadr[index]
         gains, damping = _actuators(model, index)
-        joint = Joint(
+        joints[name] = Joint(
             kind != mujoco.mjtJoint.mjJNT_SLIDE,
             float(least[place]),
             float(greatest[place]),
@@ -75,17 +75,19 @@ def joints_of(model: Any, postures: int) -> dict[str, Joint]:
             reasons.get(index),
             servos.get(index) or _negative(gains),
         )
-        joints[_name(model, index)] = joint
     return joints
 
 
-def _name(model: Any, joint: int) -> str:
-    """The name of a joint, or its number in a name that no other one has."""
-    names = [model.joint(index).name for index in range(model.njnt)]
-    name = names[joint] or f"joint {joint}"
-    while not names[joint] and name in names:
-        name += " (no name)"
-    return name
+def _names(model: Any) -> list[str]:
+    """The names of the joints; the number of one without, in a name that no other one has."""
+    given = [model.joint(index).name for index in range(model.njnt)]
+    names = []
+    for index, own in enumerate(given):
+        name = own or f"joint {index}"
+        while not own and name in given:
+            name += " (no name)"
+        names.append(name)
+    return names
 
 
 def _negative(gains: PD) -> str | None:
