@@ -23,6 +23,7 @@ class Structure:
     """A device by z' = A z + w f + h p, f the wall's force, p a force at its handle.
 
     position, velocity: rows of the handle's; pull: what pulls beside the hand, of z and of f.
+    arriving: all masses move at velocity 1, springs at rest.
     """
 
     matrix: np.ndarray
@@ -31,12 +32,13 @@ class Structure:
     position: np.ndarray
     velocity: np.ndarray
     pull: np.ndarray
+    arriving: np.ndarray
 
     def start(self, x: float, v: float) -> np.ndarray:
-        """At rest at x without a force of the wall, then thrown."""
+        """At rest at x without a force of the wall, and moving as a whole."""
         held = np.block([[self.matrix, self.hand[:, None]], [self.position, np.zeros(1)]])
         rest = np.linalg.lstsq(held, np.eye(len(held))[-1] * x)[0][:-1]
-        return rest + self.thrown * v
+        return rest + self.arriving * v
 
     @property
     def thrown(self) -> np.ndarray:
@@ -57,7 +59,8 @@ def structure(
     size = 2 * count + (2 if arm else 0) + (1 if bandwidth else 0)
     position, velocity = np.zeros(size), np.zeros(size)
     position[: 2 * count : 2] = velocity[1 : 2 * count : 2] = 1.0
-    matrix, hand = np.zeros((size, size)), np.zeros(size)
+    matrix, hand, arriving = np.zeros((size, size)), np.zeros(size), np.zeros(size)
+    arriving[1] = 1.0
     for k, (mass, damping, stiffness) in enumerate(bodies):
         hand[2 * k + 1] = 1.0 / mass
         matrix[2 * k, 2 * k + 1] = 1.0
@@ -68,7 +71,7 @@ def structure(
         grip = grip_stiffness * position + grip_damping * velocity  # on the arm
         grip[[x, v]] -= grip_stiffness, grip_damping
         matrix -= np.outer(hand, grip)
-        matrix[x, v] = 1.0
+        matrix[x, v] = arriving[v] = 1.0
         matrix[v] += grip / mass
         matrix[v, [x, v]] -= stiffness / mass, damping / mass
     pull, wall = np.eye(size + 1)[-1], hand
@@ -76,7 +79,7 @@ def structure(
         rate, pull = 2.0 * np.pi * bandwidth, np.eye(size + 1)[-2]
         matrix[:, -1], wall = hand, rate * np.eye(size)[-1]
         matrix[-1, -1] = -rate
-    return Structure(matrix, wall, hand, position, velocity, pull)
+    return Structure(matrix, wall, hand, position, velocity, pull, arriving)
 
 
 @dataclass(frozen=True)

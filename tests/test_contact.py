@@ -642,17 +642,19 @@ def scene_with(**changes: dict[str, Any]) -> Scene:
     return Scene.from_table(table)
 
 
-def test_of_several_masses_that_at_the_handle_alone_has_the_speed() -> None:
-    mode = {"frequency": 90.0, "damping_ratio": 0.02, "modal_mass": 0.3}
-    only = {"push": 0.0, "speed": 0.1, "duration": 0.2}
-    starts = [
-        simulate_contacts(scene_with(device=device, contact=only)).walls["soft"].worst_start
-        for device in ({}, {"modes": [mode]})
-    ]
-    assert [start.partition(",")[0] for start in starts] == [
-        "at 0.1 m/s",
-        "the handle struck to 0.1 m/s",
-    ]
+def test_a_mass_behind_a_stiff_grip_arrives_with_the_device() -> None:
+    """As one mass of both; a transfer function, whose masses are not known, is struck alone."""
+    hand = jaxstab.Hand.mass_spring_damper(1.0).with_grip(stiffness=1e6, damping=20.0)
+    light = jaxstab.Device.mass_spring_damper(0.05, damping=0.1)
+    whole = jaxstab.Device.mass_spring_damper(1.05, damping=0.1)
+    unknown = jaxstab.Device.transfer_function([1.0], [0.05, 0.1, 0.0])
+    one, both, struck = (
+        HapticLoop(device=device, sample_time=PERIOD, delay=PERIOD).contact(500.0, 5.0, speed=0.1)
+        for device in (whole, light.held_by(hand), unknown.held_by(hand))
+    )
+    assert both.penetration == pytest.approx(one.penetration, rel=1e-3)
+    assert both.largest_force == pytest.approx(one.largest_force, rel=1e-2)
+    assert struck.penetration < 0.1 * one.penetration
 
 
 def test_a_scene_answers_with_the_worst_of_its_starts() -> None:

@@ -48,13 +48,22 @@ def loop_of(drawn: devices.Drawn, filters: dict[str, Any]) -> HapticLoop:
 
 
 def plant_of(drawn: devices.Drawn) -> Plant:
-    """The equations of motion in units of one sample, and the state of a unit blow's velocity."""
+    """The equations of motion, the unit of time one sample."""
     whole = drawn.mechanism.system()
     handle = drawn._replace(bandwidth=None).mechanism.system()
     a, wall, c = (np.array(one.tolist(), float) for one in whole)
     hand = np.zeros(len(a))
     hand[: handle.b.rows] = np.array(handle.b.tolist(), float).ravel()
     return Plant(a * PERIOD, wall.ravel() * PERIOD, hand * PERIOD, c.ravel())
+
+
+def arriving(drawn: devices.Drawn) -> np.ndarray:
+    """The states of a device whose body and arm move at velocity 1; its modes are at rest."""
+    states = np.zeros(len(plant_of(drawn).c))
+    states[1] = 1.0
+    if drawn.hand is not None and drawn.hand[3] is not None:
+        states[2 * (1 + len(drawn.modes)) + 1] = 1.0
+    return states
 
 
 def settled_since(position: np.ndarray, final: float, band: float) -> int:
@@ -69,14 +78,13 @@ def test_a_simulated_device_moves_as_its_equations_say(
 ) -> None:
     drawn, (given, velocity, position) = DRAWN[case], FILTERS[filters]
     plant, loop = plant_of(drawn), loop_of(drawn, given)
-    thrown = plant.hand / (plant.c @ plant.a @ plant.hand)  # of unit velocity per sample
     found = loop.simulate(
         *WALL, samples=200, force=0.5, initial_velocity=-0.1, unilateral=unilateral
     )
     wall = WALL[0], WALL[1] / PERIOD
     states, forces = march_of_plant(
         plant, drawn.delay, wall, velocity, position, 200,
-        push=0.5, start=-0.1 * PERIOD * thrown, unilateral=unilateral,
+        push=0.5, start=-0.1 * arriving(drawn), unilateral=unilateral,
     )  # fmt: skip
     expected = states @ plant.c
     assert (expected < 0.0).any()
@@ -84,6 +92,69 @@ def test_a_simulated_device_moves_as_its_equations_say(
     np.testing.assert_allclose(found.force, forces, atol=1e-10 * np.abs(forces).max())
     speeds = states @ plant.a.T @ plant.c / PERIOD
     np.testing.assert_allclose(found.velocity, speeds, atol=1e-10 * np.abs(speeds).max())
+
+
+Rows = list[tuple[np.ndarray, float, float, float]]
+
+
+def random_structure(rng: np.random.Generator) -> tuple[Device, Rows, np.ndarray, np.ndarray]:
+    """A device whose motor, encoder and handle may differ, held by up to three hands.
+
+    Also what it is made of, each a direction in coordinates of body, modes and arms with the mass,
+    damping and stiffness along it; the encoder's place, and which coordinates move as it arrives.
+    """
+    spots = np.array([0.0, 0.4, 1.0, -1.0])
+    modes = [
+        jaxstab.Mode(
+            frequency=rng.choice([35.0, 80.0]), damping_ratio=rng.choice([0.0, 0.02]),
+            modal_mass=rng.choice([0.1, 0.4]), motor=rng.choice(spots), encoder=rng.choice(spots),
+            handle=rng.choice(spots),
+        )
+        for _ in range(rng.integers(4))
+    ]  # fmt: skip
+    device = Device.modes(modes, mass=0.5, damping=0.2)
+    arms, size = int(rng.integers(4)), 1 + len(modes)
+    own = np.eye(size + arms)
+    handle, encoder = (own[0] + sum(m * own[k] for k, m in enumerate(shape, 1)) for shape in (
+        [mode.handle for mode in modes], [mode.encoder for mode in modes]
+    ))  # fmt: skip
+    parts = [(own[0], 0.5, 0.2, 0.0)]
+    for row, mode in zip(own[1:], modes, strict=False):
+        rate = 2.0 * np.pi * mode.frequency
+        mass, ratio = mode.modal_mass, mode.damping_ratio
+        parts.append((row, mass, 2.0 * ratio * rate * mass, rate**2 * mass))
+    moving = own[0].copy()
+    for place in own[size:]:
+        arm = rng.uniform(0.1, 1.0), rng.choice([0.0, 4.0]), rng.choice([0.0, 300.0])
+        hand = jaxstab.Hand.mass_spring_damper(arm[0], damping=arm[1], stiffness=arm[2])
+        if rng.random() < 0.6:
+            parts += [(place, *arm), (handle - place, 0.0, 3.0, 900.0)]
+            device, moving = (
+                device.held_by(hand.with_grip(stiffness=900.0, damping=3.0)),
+                moving + place,
+            )
+        else:
+            parts += [(handle, *arm), (place, 1.0, 0.0, 0.0)]  # the arm's coordinate is not used
+            device = device.held_by(hand)
+    return device, parts, encoder, moving
+
+
+@pytest.mark.parametrize("case", range(12))
+def test_all_masses_of_a_device_arrive_at_the_initial_velocity(case: int) -> None:
+    """Without a wall; also where two modes are alike but for their shapes."""
+    device, parts, encoder, moving = random_structure(np.random.default_rng(case))
+    mass, damping, stiffness = (
+        sum(part[k] * np.outer(part[0], part[0]) for part in parts) for k in (1, 2, 3)
+    )
+    size = len(moving)
+    pulls = -np.linalg.solve(mass, np.hstack([stiffness, damping]))
+    rates = np.vstack([np.eye(2 * size)[size:], pulls])
+    start = np.concatenate([np.zeros(size), 0.3 * moving])
+    found = HapticLoop(device=device, sample_time=PERIOD).simulate(
+        0.0, 0.0, samples=100, initial_velocity=0.3
+    )
+    expected = [encoder @ (scipy.linalg.expm(rates * time) @ start)[:size] for time in found.time]
+    np.testing.assert_allclose(found.position, expected, atol=1e-12 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("case", DRAWN)

@@ -717,8 +717,10 @@ class HapticLoop(LoopParameters, TwoGains):
             stiffness, damping: see ``jaxstab.conventions``.
             samples: the number of samples to simulate, from time 0 on.
             force: a step in N from time 0 on: the hand begins to push, at the handle.
-            initial_velocity: in m/s at time 0: an impact on the wall, or a blow of this velocity
-                times the mass. A device of several masses was struck at the handle.
+            initial_velocity: in m/s at time 0, of device and hand as a whole: all masses move, and
+                vibration modes are at rest. Where masses are not known (a transfer function, a
+                state space, a structure fixed to the ground) a blow at the handle gave it this
+                velocity.
             initial_position: in m at time 0, the penetration if positive.
             between: the number of equidistant points to return between two samples.
             unilateral: the wall pushes or pulls only while the sampled position is positive
@@ -797,9 +799,8 @@ class HapticLoop(LoopParameters, TwoGains):
             force_step: resolution of the force in N; 0 for none.
             max_force: the largest force of the actuator in N; None for no limit.
             push: constant force of the hand in N, from time 0 on, positive into the wall.
-            speed: of the handle at time 0 in m/s, positive into the wall. In a device of several
-                masses only the mass at the handle moves then, as after a blow. One that arrives as
-                a whole has more energy: start it outside of the wall, with a push.
+            speed: at which device and hand arrive as a whole at time 0, in m/s, positive into the
+                wall; as ``initial_velocity`` of ``simulate``.
             position: position at time 0 in m, the penetration if positive.
             one_sided: the wall acts only where the sampled position is positive.
             pulls: True for a one-sided wall that may pull; otherwise such forces are 0.

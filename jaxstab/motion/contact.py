@@ -474,7 +474,7 @@ class Handle(NamedTuple):
         and of the force that pulls beside hand and friction. The columns: states, force of the wall
         and force at the handle, where it slips, and the same once more where it sticks.
     load: the force on the handle beside friction, from such columns.
-    at_rest, thrown: states at rest at position 1, and at velocity 1.
+    at_rest, thrown: states at rest at position 1, and at velocity 1 (``Mechanics``).
     ticks: how many make a sample.
     ages, flows, oldest: as of ``Plant``; flows are lengths in ticks.
     """
@@ -492,11 +492,11 @@ class Handle(NamedTuple):
     def from_device(cls, device: Device, sample_time: float, delays: tuple[float, ...]) -> "Handle":
         """Return a device; delays in samples, in turn. ValueError if no mass is at its handle."""
         most_motion = 2.0  # of a piece, in rad
-        matrix, pull, at_rest, ticks = handle_equations(device, sample_time)
+        matrix, pull, at_rest, thrown, ticks = handle_equations(device, sample_time)
         size, columns = matrix.shape
-        load, thrown = matrix[1] / matrix[1, -1], matrix[:, -1] / matrix[1, -1]
+        load, struck = matrix[1] / matrix[1, -1], matrix[:, -1] / matrix[1, -1]
         rates, whole = np.zeros((2, columns, columns)), np.eye(columns)
-        rates[:, :size] = matrix, matrix - np.outer(thrown, matrix[1])
+        rates[:, :size] = matrix, matrix - np.outer(struck, matrix[1])
         rates[1, :2] = 0.0  # exactly
         rows = np.stack([np.vstack([whole[:size], row, whole[pull]]) for row in (whole[1], load)])
         fastest = ticks * float(np.abs(rates[:, :size, :size]).sum(axis=2).max())  # at most
@@ -517,7 +517,7 @@ class Handle(NamedTuple):
         )
 
     def start(self, position: Array, velocity: Array) -> tuple[Array, ...]:
-        """Return the states of a device at rest that is thrown; the velocity is per sample."""
+        """Return the states at a position and a velocity, per sample."""
         speed = velocity / self.ticks
         x, v, *others = (
             a * position + b * speed for a, b in zip(self.at_rest, self.thrown, strict=True)

@@ -276,9 +276,9 @@ def simulate(
     """Simulate a device, held by a hand, against a virtual wall: ``HapticLoop.simulate``.
 
     ``delays`` are in samples and take the place of the loop's in turn. The hand's force pulls at
-    the handle, behind the actuators. A device with an initial velocity was thrown by a blow at the
-    handle; one with an initial position was at rest there, its actuators without force. ValueError
-    also if a blow cannot throw the device, or it has zero DC gain.
+    the handle, behind the actuators. A device with an initial position was at rest there, its
+    actuators without force. ValueError also if a blow cannot throw the device, or it has zero DC
+    gain.
     """
     require_x64(stiffness, damping, force, initial_velocity, initial_position)
     checked_count("samples", samples, 1)
@@ -329,7 +329,7 @@ def simulate(
 
 
 def _states(moves: Mechanics, position: Array, velocity: Array) -> list[Array]:
-    """The states of a device that is at rest at a position, and then thrown."""
+    """The states of a device that stood at a position, and has a velocity."""
     states = [entry * position for entry in moves.starts.at_rest]
     if not is_traced(velocity) and not np.any(velocity):
         return states

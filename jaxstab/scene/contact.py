@@ -206,8 +206,7 @@ def _starts(scene: Scene) -> list[tuple[float, float, float]]:
 
 def _simulated(scene: Scene, contact: Contact, start: tuple[float, float, float]) -> Simulated:
     push, speed, phase = start
-    way = "at" if contact_loop(scene).body else "the handle struck to"  # the other masses at rest
-    words = [f"{way} {speed:g} {scene.units.length}/s"] if speed else []
+    words = [f"at {speed:g} {scene.units.length}/s"] if speed else []
     words += [f"pushed with {Quantity('N').words(push, scene.units)}"] if push else []
     if scene.device.encoder:
         words.append(f"encoder at {phase:g} of a step")

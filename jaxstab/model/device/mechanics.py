@@ -28,11 +28,15 @@ from jaxtyping import Float64, Int64
 from jaxstab.model.device.device import Device, in_steps
 from jaxstab.model.device.discrete import InSteps, held_steps
 from jaxstab.model.device.parts import (
+    FIRST_BITS,
+    MassSpringDamper,
+    Modes,
     Rational,
     balls_of,
     decided,
     exact,
     flint,
+    rational,
     turn,
     working_precision,
 )
@@ -67,8 +71,8 @@ class Mechanics(NamedTuple):
     rows: of the states, at times after a sample, the last one at the next sample.
     seen: rows of position and velocity at the same times.
     starts: the states at rest and after a blow.
-    thrown: the states of a device that moves with unit velocity from 0; None if a blow cannot throw
-        it so.
+    thrown: the states of a device that moves with unit velocity from 0, as a whole if its masses
+        are known, else struck at the handle; None if a blow cannot throw it so.
     """
 
     rows: Float64[np.ndarray, "offset state column"]
@@ -108,13 +112,58 @@ def mechanics(
         [np.zeros((len(offsets), size)), acting, np.full((len(offsets), 1), velocity[-1])], axis=1
     )
     speeds = np.einsum("s,osc->oc", velocity[:size], values) + direct
-    is_thrown = order > 1 and blow[0] == 0.0 and blow[1] != 0.0
+    thrown = _arriving(device, sample_time, size)
+    if thrown is None and order > 1 and blow[0] == 0.0 and blow[1] != 0.0:
+        thrown = blow / blow[1]
     return Mechanics(
         rows=values,
         seen=np.stack([values[:, 0], speeds], axis=1),
         starts=Starts(at_rest, np.arange(size) >= order, blow),
-        thrown=blow / blow[1] if is_thrown else None,
+        thrown=thrown,
     )
+
+
+def _arriving(
+    device: Device, sample_time: float, size: int
+) -> Float64[np.ndarray, " state"] | None:
+    """The states of a device all of whose masses move at velocity 1, where these are known.
+
+    In the canonical form they are the coefficients of the position's numerator, over ``below``.
+    """
+    if (path := _free_path(device)) is None:
+        return None
+    below = device.ports().below
+    above = path.numerator * (below / path.denominator)  # it shows no other poles
+    with working_precision(FIRST_BITS):
+        states = in_samples(Rational(above, below), sample_time)[0][::-1]
+        own = [_float(state / states[1]) for state in states]
+    return np.array(own + [0.0] * (size - len(own)))
+
+
+def _free_path(device: Device) -> Rational | None:
+    """The encoder's position in s while no force acts, all masses moving at velocity 1 at first.
+
+    None of a transfer function or a state space, whose masses are not known, and of a structure
+    that is fixed to the ground.
+    """
+    body = device.mechanism
+    if not isinstance(body, MassSpringDamper | Modes) or body.mass is None:
+        return None
+    spring = body.stiffness if isinstance(body, MassSpringDamper) else 0.0
+    alone = rational([body.mass], [body.mass, body.damping, spring])  # without the hands
+    ports, path = device.ports(), alone
+    for hand in device.hands:
+        arm, (above, below) = hand.dynamics, hand.dynamic_stiffness()
+        if not isinstance(arm, MassSpringDamper):
+            return None
+        push = rational([arm.mass], [1.0])  # on a handle that is held, as the arm arrives
+        if hand.grip is not None:
+            (grip, _), (own, _) = hand.grip.dynamic_stiffness(), arm.dynamic_stiffness()
+            push = push.times(Rational(grip, grip + own))
+        # The hand on the path that the body takes alone needs a force; its reaction bends the path.
+        needed = alone.times(Rational(above, below)).minus(push)
+        path = path.minus(needed.times(Rational(ports.encoder_by_hand, ports.below)))
+    return path.reduced()[0]
 
 
 def _in_steps(
@@ -214,13 +263,15 @@ class HandleEquations(NamedTuple):
 
     matrix: rates of the states, of these, of the wall's force and of the hand's.
     pull: the column of the motor's force.
-    at_rest: the states of a device at rest at position 1 without a wall's force.
+    at_rest, thrown: the states of a device at rest at position 1 without a wall's force, and at
+        velocity 1, as those of ``Mechanics``.
     ticks: how many make a sample, a power of 2.
     """
 
     matrix: Float64[np.ndarray, "state column"]
     pull: int
     at_rest: Float64[np.ndarray, " state"]
+    thrown: Float64[np.ndarray, " state"]
     ticks: float
 
 
@@ -246,7 +297,7 @@ def handle_equations(device: Device, sample_time: float) -> HandleEquations:
         moves = mechanics(device, tick, 0.0, (0.0,))
         matrix = equations(device, sides_in_samples(device, tick), tick)
         columns = matrix.ncols()
-        if moves.thrown is None or not matrix[1, columns - 1] > 0:
+        if moves.thrown is None or matrix[0, columns - 1] != 0 or not matrix[1, columns - 1] > 0:
             raise ValueError(
                 f"the device ({device}) has no mass at its handle, or a negative one, but friction "
                 "needs a mass there; give a compliance whose denominator is two degrees higher."
@@ -259,7 +310,7 @@ def handle_equations(device: Device, sample_time: float) -> HandleEquations:
     at_rest[1] = 0.0
     pull = columns - 3 if device.bandwidths else columns - 2
     rates = np.array([[_float(entry) for entry in row] for row in rows])
-    return HandleEquations(rates, pull, at_rest, ticks)
+    return HandleEquations(rates, pull, at_rest, moves.thrown, ticks)
 
 
 def _held(matrix: "arb_mat", fraction: float, offset: float) -> "arb_mat":

@@ -99,6 +99,11 @@ class Rational(NamedTuple):
         """Return the product."""
         return Rational(self.numerator * other.numerator, self.denominator * other.denominator)
 
+    def minus(self, other: "Rational") -> "Rational":
+        """Return the difference."""
+        (a, b), (c, d) = self, other
+        return Rational(a * d - c * b, b * d)
+
     def in_series(self, other: "Rational") -> "Rational":
         """Return 1 / (1/a + 1/b): two dynamic stiffnesses under the same force."""
         (a, b), (c, d) = self, other
@@ -175,11 +180,14 @@ class Ports(NamedTuple):
         )
 
     def reduced(self) -> "Ports":
-        """The same without the common factor of all, of polynomials."""
+        """The same without the common factor of all, of polynomials.
+
+        Two modes that are alike but for their shapes have one in all but the excess: it stays.
+        """
         shared = self.below.gcd(self.encoder)
         if self.excess is None:
             return Ports.at_one_point(self.encoder / shared, self.below / shared)
-        for above in self[2:5]:
+        for above in self[2:]:
             shared = shared.gcd(above)
         return Ports(*(side / shared for side in self))
 
