@@ -1,4 +1,4 @@
-"""J2: the matrices of delays in turn, against a mass whose forces arrive one by one."""
+"""V10: the matrices of delays in turn, against a mass whose forces arrive one by one."""
 
 from itertools import pairwise
 from math import inf

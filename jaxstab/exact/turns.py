@@ -1,4 +1,4 @@
-"""J2. Delays that repeat in turn: the matrix of one turn, and a proof that its motion grows.
+"""V10. Delays that repeat in turn: the matrix of one turn, and a proof that its motion grows.
 
 Sample j is read at the time j, in samples, and its force arrives at j + t_j; the newest sample that
 has arrived sets the force. Between two arrivals the force is constant, so with F(t) = exp(A t) and

@@ -1,8 +1,8 @@
 """One loop whose delay moves from sample to sample: verdicts, margins, limits and sequences.
 
 A wall is STABLE if the small-gain theorem proves it for every sequence of delays of a range (lemma
-J1 of docs/proofs.md), and UNSTABLE if one sequence, constant or in turn, is proved to grow (lemma
-J2). Between the two it is UNDECIDED.
+J1 of docs/proofs.md), and UNSTABLE if one sequence, constant or in turn, is proved to grow (V10).
+Between the two it is UNDECIDED.
 """
 
 from collections.abc import Callable, Iterable

@@ -476,8 +476,8 @@ class HapticLoop(LoopParameters, TwoGains):
         delays that is out of order or too long; TypeError if JAX traces a loop with ``delays``.
 
         Source: Schur-Cohn criterion (Jury 1964) for eq. (9) of Hulin, Preusche, Hirzinger (2008);
-        the small-gain theorem (Kao, Lincoln 2004) for delays that move: lemmas J1 and J2 of
-        docs/proofs.md.
+        the small-gain theorem (Kao, Lincoln 2004) for delays that move: lemmas J1 and V10
+        of docs/proofs.md.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -584,8 +584,8 @@ class HapticLoop(LoopParameters, TwoGains):
 
         Raises: as ``verdict``; the gains are single numbers.
 
-        Source: the theorem of Floquet for a force that switches within a sampling period; lemma J2
-        of docs/proofs.md.
+        Source: the theorem of Floquet for a force that switches within a sampling period; lemma
+        V10 of docs/proofs.md.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=0.05, sample_time=1e-3)
