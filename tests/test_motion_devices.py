@@ -189,7 +189,7 @@ def test_settling_of_a_device_is_that_of_its_equations(case: str, filters: str) 
     pushed, _ = march_of_plant(
         plant, drawn.delay, wall, push=WALL[0] + held, start=np.zeros(size), **march
     )
-    hit, _ = march_of_plant(plant, drawn.delay, wall, start=plant.hand, **march)
+    hit, _ = march_of_plant(plant, drawn.delay, wall, start=arriving(drawn), **march)
     pushed, hit = pushed @ plant.c, hit @ plant.c
     assert abs(pushed[-1] - 1.0) < 1e-3
     expected = {

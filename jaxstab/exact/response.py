@@ -35,7 +35,7 @@ from jaxstab.exact.verdict import TripleAt, are_inside
 from jaxstab.model.balls import BallLoop, Factored, ball_loop
 from jaxstab.model.device.device import in_steps
 from jaxstab.model.device.discrete import held_steps
-from jaxstab.model.device.mechanics import equations, sides_in_samples
+from jaxstab.model.device.mechanics import after_impact, equations, sides_in_samples
 from jaxstab.model.device.parts import Answer, decided, exact, remembered
 from jaxstab.model.device.sampling import seen
 from jaxstab.model.filters import behind_measured
@@ -249,7 +249,7 @@ class _Wall(NamedTuple):
         return found
 
     def begun(self, *, is_impact: bool) -> Quotients:
-        """The deviation of the position: of its final value, or after a blow.
+        """The deviation of the position: of its final value, or after an impact.
 
         Of two gains without a plant, the motion after an impulse.
         """
@@ -344,8 +344,8 @@ class _Parts(NamedTuple):
     hidden: D over that of the loop.
     states: adj(z - F), by columns.
     pull: adj(z - F) (g_0 + g_1 z), of the force that acts at first, and of the one that arrives.
-    struck, pushed: the position in the closed loop after a unit blow of the hand, and under its
-        unit force from 0 on, times p(z)/z and p(z) (z - 1)/z.
+    struck, pushed: the position in the closed loop after an impact, and under a unit force of the
+        hand from 0 on, times p(z)/z and p(z) (z - 1)/z.
     """
 
     loop: BallLoop
@@ -361,7 +361,7 @@ class _Parts(NamedTuple):
     @classmethod
     @remembered(128)
     def from_loop(cls, loop: LoopParameters) -> "_Parts":
-        transition, newer, older, push, blow = _moves(loop)
+        transition, newer, older, push, hit = _moves(loop)
         size = transition.nrows()
         denominator = transition.charpoly()
         one = arb_mat(size, size) + 1
@@ -381,13 +381,13 @@ class _Parts(NamedTuple):
             Factored(denominator // parts.denominator.polynomial()),
             [after(row) for row in one.tolist()],
             [a + b.left_shift(1) for a, b in zip(after(older), after(newer), strict=True)],
-            free * after(blow)[0],
+            free * after(hit)[0],
             free * after(push)[0],
         )
 
 
 def _moves(loop: LoopParameters) -> "tuple[arb_mat, list[arb], list[arb], list[arb], list[arb]]":
-    """F, and what the states become by the newer and the older force, a push and a blow."""
+    """F, and what the states become by the newer and the older force, a push and an impact."""
     device, period, fraction = loop.held_device, float(loop.sample_time), loop.delay_samples % 1.0
     if own := in_steps(device):
         if loop.velocity and behind_measured(loop.velocity) is not None:
@@ -408,8 +408,9 @@ def _moves(loop: LoopParameters) -> "tuple[arb_mat, list[arb], list[arb], list[a
     newer = [late[row][size] for row in range(size)]
     older = [whole[row][size] - newer[row] for row in range(size)]
     push = [whole[row][hand] for row in range(size)]
-    blow = [one[row][hand] if own else matrix[row, hand] for row in range(size)]
-    return arb_mat([row[:size] for row in whole[:size]]), newer, older, push, blow
+    hit = [row[hand] for row in one[:size]] if own else after_impact(device, period)
+    hit += [arb(0)] * (size - len(hit))  # of actuators
+    return arb_mat([row[:size] for row in whole[:size]]), newer, older, push, hit
 
 
 def _above(ball: "acb") -> float:

@@ -607,13 +607,14 @@ class HapticLoop(LoopParameters, TwoGains):
 
         It is ``jaxstab.settling_samples`` times the sample time; the tolerance is explained there.
         A count of samples jumps from number to number, so it has no useful derivative; that of
-        ``spectral_radius`` says how the decay changes. The hand pushes or strikes at the handle,
-        behind the actuators of a device.
+        ``spectral_radius`` says how the decay changes. The hand pushes at the handle, behind the
+        actuators of a device.
 
         Args:
             stiffness, damping: see ``jaxstab.conventions``.
             level: the tolerance, between 0 and 1; 0.02 is the usual one.
-            excitation: "force", a constant push, or "impact", a velocity at the wall.
+            excitation: "force", a constant push, or "impact", a velocity at the wall, as
+                ``initial_velocity`` of ``simulate``.
             horizon: samples; a loop that is not proved to have settled by then is given up.
 
         Returns:

@@ -525,7 +525,7 @@ def deviations(
     """The sampled deviations of walls of a loop in plain numbers as they come to rest; in SI units.
 
     Some walls at a time, as many as memory allows. Positions are in units of the final
-    displacement, or of the velocity after a blow. They are those of a simulation, or of powers of
+    displacement, or of the velocity at an impact. They are those of a simulation, or of powers of
     its step A: of few states and many samples these take less time.
     """
     period, (whole, fraction) = loop.sample_time, divmod(loop.delay_samples, 1.0)
@@ -534,7 +534,7 @@ def deviations(
 
     def begun(stiffness: Lanes) -> Any:
         if excitation == "impact":
-            position, plant, force = 0.0, moves.starts.blow, 0.0 * stiffness
+            position, plant, force = 0.0, moves.starts.impact, 0.0 * stiffness
         else:
             position, memory = -1.0, controller.at_rest(1.0)
             force = controller.step(1.0, memory)[0] * stiffness  # less that at rest

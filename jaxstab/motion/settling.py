@@ -92,9 +92,10 @@ def settling_samples(
       tolerance is level times the final displacement F/(K + k), with K P(1) for K if a position
       filter has a gain other than 1. This is the settling time of a step response.
     - "impact": the device hits the wall with some velocity at sample 0, and nothing else pushes it.
-      The tolerance is level times the largest sampled excursion, around 0. A general device is at
-      rest until a blow at sample 0; if its compliance has one degree more in the denominator, the
-      blow moves it at once, and the estimator sees that jump.
+      The tolerance is level times the largest sampled excursion, around 0. Device and hand arrive
+      as a whole. Where masses are not known (``HapticLoop.simulate``) the device is at rest until a
+      blow at the handle; if its compliance has one degree more in the denominator, the blow moves
+      it at once, and the estimator sees that jump.
 
     Args:
         alpha, beta, gamma, delta, delay, velocity, position: see ``jaxstab.conventions``.
@@ -133,8 +134,8 @@ def loop_settling_samples(
 ) -> Settling:
     """Count the samples until a loop in plain numbers is settled; see ``settling_samples``.
 
-    All is in SI units. The hand's force and the blow of an impact act at the handle, behind the
-    actuators. ValueError also if the device has zero DC gain.
+    All is in SI units. The hand pushes or strikes at the handle, behind the actuators. ValueError
+    also if the device has zero DC gain.
     """
     require_x64(stiffness, damping)
     gains = float_arrays(checked_gain("stiffness", stiffness), checked_gain("damping", damping))

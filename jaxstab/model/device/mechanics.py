@@ -28,7 +28,6 @@ from jaxtyping import Float64, Int64
 from jaxstab.model.device.device import Device, in_steps
 from jaxstab.model.device.discrete import InSteps, held_steps
 from jaxstab.model.device.parts import (
-    FIRST_BITS,
     MassSpringDamper,
     Modes,
     Rational,
@@ -54,12 +53,12 @@ class Starts(NamedTuple):
 
     at_rest: of a device at rest at position 1 without a wall's force.
     follows: which states are the forces of actuators; at rest they are the wall's force.
-    blow: after a unit of the hand's impulse, from 0.
+    impact: when it hits a wall with some velocity at 0 (``after_impact``).
     """
 
     at_rest: Float64[np.ndarray, " state"]
     follows: np.ndarray
-    blow: Float64[np.ndarray, " state"]
+    impact: Float64[np.ndarray, " state"]
 
 
 class Mechanics(NamedTuple):
@@ -70,9 +69,8 @@ class Mechanics(NamedTuple):
 
     rows: of the states, at times after a sample, the last one at the next sample.
     seen: rows of position and velocity at the same times.
-    starts: the states at rest and after a blow.
-    thrown: the states of a device that moves with unit velocity from 0, as a whole if its masses
-        are known, else struck at the handle; None if a blow cannot throw it so.
+    starts: the states at rest and at an impact.
+    thrown: those of an impact with unit velocity; None if a blow cannot throw the device so.
     """
 
     rows: Float64[np.ndarray, "offset state column"]
@@ -95,15 +93,16 @@ def mechanics(
         _, above, below = sides
         give, order = below[0] / above[0], len(below) - 1
         resting = [below[power] - give * above[power] for power in range(order - 1, 0, -1)]
-        return above, resting, matrix, [_held(matrix, fraction, offset) for offset in offsets]
+        hit = after_impact(device, sample_time)
+        return hit, resting, matrix, [_held(matrix, fraction, offset) for offset in offsets]
 
-    above, resting, matrix, rows = decided(
+    hit, resting, matrix, rows = decided(
         asked, most=_MOST_BITS, is_answered=lambda found: all(map(_are_known, found[-1]))
     )
-    order, size = len(above), matrix.ncols() - 2
+    order, size = len(hit), matrix.ncols() - 2
     forces = [0.0] * (size - order)
     at_rest = np.array([1.0, *map(_float, resting), *forces])
-    blow = np.array([*map(_float, above[::-1]), *forces])
+    impact = np.array([*map(_float, hit), *forces])
     velocity = np.array([_float(matrix[0, column]) for column in range(size + 2)])
     values = np.array(list(map(_floats, rows)))
     early = (np.array(offsets) < fraction)[:, None]
@@ -112,34 +111,29 @@ def mechanics(
         [np.zeros((len(offsets), size)), acting, np.full((len(offsets), 1), velocity[-1])], axis=1
     )
     speeds = np.einsum("s,osc->oc", velocity[:size], values) + direct
-    thrown = _arriving(device, sample_time, size)
-    if thrown is None and order > 1 and blow[0] == 0.0 and blow[1] != 0.0:
-        thrown = blow / blow[1]
+    is_thrown = order > 1 and impact[0] == 0.0 and impact[1] != 0.0
     return Mechanics(
         rows=values,
         seen=np.stack([values[:, 0], speeds], axis=1),
-        starts=Starts(at_rest, np.arange(size) >= order, blow),
-        thrown=thrown,
+        starts=Starts(at_rest, np.arange(size) >= order, impact),
+        thrown=impact / impact[1] if is_thrown else None,
     )
 
 
-def _arriving(
-    device: Device, sample_time: float, size: int
-) -> Float64[np.ndarray, " state"] | None:
-    """The states of a device all of whose masses move at velocity 1, where these are known.
+def after_impact(device: Device, sample_time: float) -> list["arb"]:
+    """The states when the device hits a wall with some velocity, without those of actuators.
 
-    In the canonical form they are the coefficients of the position's numerator, over ``below``.
+    They are the coefficients of the position's numerator over ``below``: of the device on its free
+    path, or, where masses are not known, after a unit of the hand's impulse.
     """
-    if (path := _free_path(device)) is None:
-        return None
-    below = device.ports().below
-    above = path.numerator * (below / path.denominator)  # it shows no other poles
-    with working_precision(FIRST_BITS):
-        states = in_samples(Rational(above, below), sample_time)[0][::-1]
-        own = [_float(state / states[1]) for state in states]
-    return np.array(own + [0.0] * (size - len(own)))
+    ports, path = device.ports(), _free_path(device)
+    above = ports.encoder_by_hand
+    if path is not None:
+        above = path.numerator * (ports.below / path.denominator)  # it shows no other poles
+    return in_samples(Rational(above, ports.below), sample_time)[0][::-1]
 
 
+@lru_cache(maxsize=256)
 def _free_path(device: Device) -> Rational | None:
     """The encoder's position in s while no force acts, all masses moving at velocity 1 at first.
 
