@@ -232,6 +232,14 @@ def test_options_go_before_the_values_of_a_file(tmp_path: Path) -> None:
             ["limits", "--mass", "1", "--rate", "1000", "--sample-time", "1e-3"],
             "--rate is 1000 beside --sample-time; give one of them.",
         ),
+        (
+            ["limits", "--mass", "1", "--rate", "1000", "--set", "controller.sample_time=2e-3"],
+            "--set controller.sample_time is given beside --rate; give one of them.",
+        ),
+        (
+            ["limits", "--window", "5e-3", "--set", "controller.velocity.window=6e-3"],
+            "--set controller.velocity.window is given beside --window; give one of them.",
+        ),
         (["design", *PHANTOM], "wanted.stiffness is missing"),
         (["design", JOINT], "give the stiffness to design for in N m/rad."),
         (["contact", JOINT], "give contact.push in N m, or contact.speed in rad/s (on"),

@@ -219,7 +219,14 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
             if "delay" not in key or (value == "constant" and not lost)
         }
     merged |= {name: merged.get(name, {}) | keys for name, keys in chosen.items()}
+    options = {f"{section}.{entry.name}": option for option, (section, entry) in _keys().items()}
     for name, value in given.get("lines", {}).items():
+        option = options.get(name.removeprefix("controller.") if "velocity" in name else name, "")
+        option = "rate" if option == "sample_time" and rate is not None else option
+        if given.get(option) is not None:
+            raise click.UsageError(
+                f"--set {name} is given beside --{option.replace('_', '-')}; give one of them."
+            )
         merged = with_value(merged, name, value_of(value), name.split("."))
     return merged
 
