@@ -24,6 +24,25 @@ def require_x64(*values: Numbers) -> None:
         )
 
 
+def require_together(**numbers: Numbers) -> tuple[int, ...]:
+    """The shape to which numbers broadcast, by name; RuntimeError as ``require_x64``.
+
+    ValueError if they do not broadcast.
+    """
+    require_x64(*numbers.values())
+    try:
+        shapes = {name: np.shape(value) for name, value in numbers.items()}
+    except ValueError:
+        return ()  # rows of different lengths, which ``checked`` refuses
+    try:
+        return np.broadcast_shapes(*shapes.values())
+    except ValueError:
+        words = " and ".join(f"{name} {shape}" for name, shape in shapes.items() if shape)
+        raise ValueError(
+            f"the shapes {words} do not broadcast; give one shape, or axes of length 1."
+        ) from None
+
+
 def checked(
     name: str,
     value: Numbers,

@@ -1,5 +1,6 @@
 """The haptic loop in SI units: its answers are those of independent truths, and of its parts."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -244,6 +245,34 @@ def test_arrays_as_fields_are_checked_as_numbers_are() -> None:
     with pytest.raises(ValueError, match=r"window is 0.002 s, 6.66667 sampling periods"):
         replace(OMEGA, velocity=Velocity.difference(window=2e-3), sample_time=[1e-3, 0.3e-3])
     assert repr(replace(OMEGA, delay=[0.0, 1e-3])).endswith("delay=array([0.   , 0.001]))")
+
+
+GIVEN: dict[str, Any] = {"stiffness": [1.0, 2.0], "damping": [1.0, 2.0, 3.0]}
+TOGETHER: dict[str, Callable[[], Any]] = {
+    "verdict": lambda: OMEGA.verdict(**GIVEN),
+    "settling": lambda: OMEGA.settling_time(**GIVEN),
+    "motion": lambda: OMEGA.simulate(**GIVEN, force=1.0),
+    "amplitude": lambda: OMEGA.amplitude(**GIVEN, encoder=1e-5),
+    "margins": lambda: OMEGA.margins(**GIVEN),
+    "frequency": lambda: OMEGA.frequency_margins(**GIVEN),
+    "contact": lambda: jaxstab.contact_map(OMEGA, **GIVEN, push=1.0),
+    "distance": lambda: OMEGA.region().distance(**GIVEN),
+}
+
+
+@pytest.mark.parametrize("ask", TOGETHER.values(), ids=TOGETHER)
+def test_gains_that_do_not_broadcast_are_named(ask: Callable[[], Any]) -> None:
+    with pytest.raises(ValueError, match=r"stiffness \(2,\) and damping \(3,\) do not broad"):
+        ask()
+
+
+@pytest.mark.parametrize(
+    "function",
+    [jaxstab.verdict, jaxstab.spectral_radius, jaxstab.closed_loop_poles, jaxstab.settling_samples],
+)
+def test_numbers_that_do_not_broadcast_are_named(function: Callable[..., Any]) -> None:
+    with pytest.raises(ValueError, match=r"shapes beta \(2,\) and delay \(3,\) do not broadcast;"):
+        function(0.1, [0.1, 0.2], gamma=0.0, delta=0.1, delay=[0.0, 1.0, 2.0])
 
 
 def test_the_dense_case_goes_through_jit_and_vmap() -> None:

@@ -23,7 +23,7 @@ from jaxstab.atlas import file
 from jaxstab.atlas.table import PLANT, AlphaLimits, LimitTable
 from jaxstab.conventions import AXES, Status, Verdict
 from jaxstab.durable import identity_of, target_of
-from jaxstab.numbers import checked
+from jaxstab.numbers import checked, require_together
 from jaxstab.shown import table_text
 
 if TYPE_CHECKING:
@@ -331,7 +331,9 @@ class LoopAtlas:
 
 def _checked(values: Sequence[Numbers], names: Sequence[str] = AXES) -> list[Floats]:
     """Return real, finite numbers, or raise TypeError or ValueError for the first others."""
-    return [np.asarray(checked(*pair), np.float64) for pair in zip(names, values, strict=True)]
+    given = dict(zip(names, values, strict=True))
+    require_together(**given)
+    return [np.asarray(checked(*pair), np.float64) for pair in given.items()]
 
 
 def _checked_loop(loop: Any) -> Any:

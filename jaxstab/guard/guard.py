@@ -15,6 +15,7 @@ from jaxstab.boxes import HandRange
 from jaxstab.conventions import Range
 from jaxstab.guard.grid import Boundary, Grid, boundary_of, interpolated
 from jaxstab.model import LoopParameters
+from jaxstab.numbers import require_together
 from jaxstab.shown import printable, shortened
 
 LARGEST_HEADER = 1_000_000
@@ -101,12 +102,9 @@ class Guard:
             raise TypeError("the guard is for constant delays; give delay in s.")
         if not self.is_delay_constant and delay is not None:
             raise TypeError("the guard is for a delay that moves; give no delay.")
-        values = np.broadcast_arrays(
-            *(
-                np.asarray(v, np.float64)
-                for v in (damping, mass, self.delay[0] if delay is None else delay)
-            )
-        )
+        late = self.delay[0] if delay is None else delay
+        require_together(damping=damping, mass=mass, delay=late)
+        values = np.broadcast_arrays(*(np.asarray(v, np.float64) for v in (damping, mass, late)))
         damping_, *place = (value.ravel() for value in values)
         ends = (self.mass, self._delays)
         inside = np.ones(damping_.shape, bool)

@@ -45,7 +45,7 @@ from jaxstab.model.device.parts import working_precision
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.model.parameters import checked_gain, wall_grid
 from jaxstab.motion.settling import SettlingTime, checked_level, settled_answer
-from jaxstab.numbers import checked_count, checked_number, require_x64
+from jaxstab.numbers import checked_count, checked_number, require_together
 from jaxstab.region.pieces import NO_BRANCH
 from jaxstab.region.region import region_of
 from jaxstab.region.stable_set import RegionStatus
@@ -497,9 +497,9 @@ class Loop(TwoGains):
 
     def _in_units(self, first: Numbers, second: Numbers) -> tuple[Array, Array]:
         """Gains as those of ``_pairs``: without rounding where they are those of the chart."""
-        require_x64(first, second)
-        pairs = zip(self.gains, (first, second), strict=True)
-        given = float_arrays(*(checked_gain(gain.name, value) for gain, value in pairs))
+        pair = dict(zip((gain.name for gain in self.gains), (first, second), strict=True))
+        require_together(**pair)
+        given = float_arrays(*(checked_gain(name, value) for name, value in pair.items()))
         with np.errstate(divide="ignore", invalid="ignore"):  # where p(z) has a lower degree
             of_chart = self._chart.of_gains(*given)
         return of_chart[0] / self._scale[0], of_chart[1] / self._scale[1]

@@ -29,7 +29,7 @@ from jaxstab.motion.contact import (
     paths,
 )
 from jaxstab.motion.response import Column, Controller, Response, answer_text, controller_for
-from jaxstab.numbers import checked, checked_number
+from jaxstab.numbers import checked, checked_number, require_together
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -283,6 +283,8 @@ def setup_of(
         checked("speed", speed) * period,
         checked("tolerance", tolerance, 0.0),
     )
+    names = "stiffness", "damping", *Runs._fields[2:-2], "speed", "tolerance"
+    require_together(**dict(zip(names, columns, strict=True)))
     runs = Runs(*(np.array(column) for column in np.broadcast_arrays(*columns)))
     _refuse_odd(runs, unit, support)
     return _Setup(

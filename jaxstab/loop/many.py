@@ -31,6 +31,7 @@ from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import NO_FILTERS, Filters, behind_measured, exact_chain, given_filters
 from jaxstab.model.linear_loop import LinearLoop, Polynomial, filter_factors, filtered_loop
 from jaxstab.model.loop import array_fields, as_one
+from jaxstab.numbers import require_together
 from jaxstab.region import RegionStatus
 from jaxstab.region.curve import Angles
 from jaxstab.region.outline import vertex_roots
@@ -372,8 +373,7 @@ def _given(loops: Any, fields: dict[str, Any]) -> tuple[Any, dict[str, Any], tup
         own = array_fields(loops)
         first = {name: namespace(x).ravel(x)[0] for name, x in own.items()}
         fields = own | fields
-        shape = np.broadcast_shapes(*map(np.shape, fields.values()))
-        return replace(loops, **first), fields, shape
+        return replace(loops, **first), fields, require_together(**fields)
     if not isinstance(loops, Iterable):
         raise TypeError(f"loops is {loops!r}; give a list of HapticLoop, or one.")
     if fields:

@@ -19,14 +19,14 @@ from jaxstab.batches import asked_of_lanes
 from jaxstab.conventions import Verdict
 from jaxstab.exact import DelayMargin, TripleAt, delay_margin, stable_line, wall_verdict
 from jaxstab.exact.line import End
-from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
+from jaxstab.model import checked_delta, checked_gain, checked_gamma
 from jaxstab.model.balls import ball_loop, ball_triple
 from jaxstab.model.device.device import in_steps
 from jaxstab.model.device.sampling import one_sample
 from jaxstab.model.filters import Filter, Velocity, known_filters
 from jaxstab.model.loop import LoopParameters, refuses_loops, unit_loops
 from jaxstab.model.parameters import LONGEST_DELAY, wall_grid
-from jaxstab.numbers import checked, without_noise
+from jaxstab.numbers import checked, require_together, without_noise
 from jaxstab.shown import number_text, table_text
 
 WAYS = ((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0), (4, 1.0))
@@ -249,7 +249,7 @@ def margins(
         checked_delta(delta),
         checked("delay", delay, 0.0, LONGEST_DELAY),
     )
-    require_x64(*values)
+    require_together(alpha=alpha, beta=beta, gamma=gamma, delta=delta, delay=delay)
     arrays = float_arrays(*values)
     xp = namespace(arrays)
     point: Array = xp.stack(xp.broadcast_arrays(*arrays), axis=-1)

@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float64
 from jaxstab.arrays import Array, Numbers, are_numbers, float_arrays, is_jax, namespace
 from jaxstab.loop.gains import Gain
 from jaxstab.model import LoopParameters, checked_gain, require_x64
-from jaxstab.model.loop import refuse_arrays
-from jaxstab.numbers import without_noise
+from jaxstab.model.loop import array_fields, refuse_arrays
+from jaxstab.numbers import require_together, without_noise
 from jaxstab.region import RegionStatus, StableRegion, measures
 from jaxstab.region.region import loop_region, proved_extremes
 from jaxstab.region.stable_set import GainNames, ShownRegion, limits_text, printed_extremes
@@ -367,7 +367,7 @@ class WallRegion(GainRegion):
 
 def scaled(loop: LoopParameters, stiffness: Numbers, damping: Numbers) -> tuple[Array, Array]:
     """Walls (K, B) of a loop, checked, as alpha and beta."""
-    require_x64(stiffness, damping)
+    require_together(**array_fields(loop), stiffness=stiffness, damping=damping)
     if np.ndim(loop.sample_time) and (loop.velocity or loop.position):
         refuse_arrays(loop)  # windows and cut-offs would be arrays per sample
     alpha = loop.alpha(checked_gain("stiffness", stiffness))

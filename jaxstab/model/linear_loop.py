@@ -40,6 +40,7 @@ from jaxstab.model.parameters import (
     whole_and_fraction,
 )
 from jaxstab.model.plant import may_cancel, pairs_error, plant_pairs
+from jaxstab.numbers import require_together
 from jaxstab.rounding import FILTERS, PAIR_PRODUCT
 
 Polynomial = tuple[DoubleDouble, ...]
@@ -255,7 +256,7 @@ def characteristic_polynomial(
         >>> jaxstab.characteristic_polynomial(0.1, 0.2, gamma=0.0, delta=0.0, delay=0.0).tolist()
         [1.0, -1.85, 1.05, -0.1]
     """
-    require_x64(alpha, beta, gamma, delta)
+    require_together(alpha=alpha, beta=beta, gamma=gamma, delta=delta, delay=delay)
     whole_part, fraction = whole_and_fraction(delay)
     gains = float_arrays(checked_gain("alpha", alpha), checked_gain("beta", beta))
     hand = checked_gamma(gamma), checked_delta(delta)

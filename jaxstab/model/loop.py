@@ -25,7 +25,7 @@ from jaxstab.model.device.sampling import gain_units
 from jaxstab.model.filters import Average, Filter, Velocity, filter_on, given_filters, known_filters
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.model.parameters import LONGEST_DELAY, TracedDelay, by_name
-from jaxstab.numbers import checked, checked_number, require_x64
+from jaxstab.numbers import checked, checked_number, require_together, require_x64
 from jaxstab.shown import call_text
 
 _LEAST = {  # the least allowed value, and whether it is excluded
@@ -151,12 +151,7 @@ class LoopParameters:
             >>> loops.shape, loops.verdict(1000.0, 10.0).shape
             ((2, 3), (2, 3))
         """
-        arrays = array_fields(self)
-        try:
-            return np.broadcast_shapes(*map(np.shape, arrays.values()))
-        except ValueError:
-            shapes = " and ".join(f"{name} {np.shape(value)}" for name, value in arrays.items())
-            raise ValueError(f"the shapes {shapes} do not broadcast; give one shape.") from None
+        return require_together(**array_fields(self))
 
     @property
     def body(self) -> MassSpringDamper | None:

@@ -7,7 +7,7 @@ from jaxtyping import Float64
 
 from jaxstab.arrays import Array, Numbers, is_any_traced
 from jaxstab.conventions import AXES
-from jaxstab.numbers import checked
+from jaxstab.numbers import checked, require_together
 from jaxstab.numbers import require_x64 as require_x64  # offered here, too
 
 GAMMA_LIMIT = 1e4
@@ -22,6 +22,11 @@ class TracedDelay(NamedTuple):
     whole: int
     fraction: Array
 
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The shape of delays."""
+        return np.shape(self.fraction)
+
 
 def by_name(*numbers: Any) -> dict[str, Any]:
     """Return the last of alpha, beta, gamma, delta and delay, given in this order, as keywords."""
@@ -35,7 +40,7 @@ def checked_gain(name: str, value: Numbers) -> Numbers:
 
 def wall_grid(**gains: Numbers) -> Float64[np.ndarray, "*grid 2"]:
     """Both gains of walls, by their names, on the grid to which they broadcast; never traced."""
-    require_x64(*gains.values())
+    require_together(**gains)
     if is_any_traced(*gains.values()):
         names = " or ".join(gains)
         raise TypeError(f"{names} is traced; give concrete gains, outside of jit, vmap and grad.")

@@ -23,13 +23,13 @@ from jaxstab.arrays import Array, Numbers, float_arrays, is_traced, named, names
 from jaxstab.batches import asked_of_lanes
 from jaxstab.conventions import Status
 from jaxstab.exact.response import Causes, disturbed_responses
-from jaxstab.model import LoopParameters, checked_delay, checked_gain, require_x64
+from jaxstab.model import LoopParameters, checked_delay, checked_gain
 from jaxstab.model.device.mechanics import Between, between_samples
 from jaxstab.model.filters import Filter, Velocity, given_filters
 from jaxstab.model.loop import unit_loops
 from jaxstab.model.parameters import checked_delta, checked_gamma
 from jaxstab.motion.response import Column, Controller, answer_text, controller_for
-from jaxstab.numbers import checked
+from jaxstab.numbers import checked, require_together
 from jaxstab.rounding import RAISED
 
 Kind = TypeVar("Kind", bound="Amplitude")
@@ -140,7 +140,7 @@ def amplitude(
         >>> round(float(bounds.position), 2)
         1.03
     """
-    require_x64(alpha, beta, gamma, delta)
+    require_together(alpha=alpha, beta=beta, gamma=gamma, delta=delta, delay=delay)
     sizes = {"encoder": encoder, "force_step": force_step, "friction": friction, "noise": noise}
     gains = float_arrays(checked_gain("alpha", alpha), checked_gain("beta", beta))
     lanes = *gains, *float_arrays(checked_gamma(gamma), checked_delta(delta)), checked_delay(delay)
@@ -161,7 +161,7 @@ def _answered(
 
     ValueError if the sizes that are given are all 0.
     """
-    require_x64(*given.values())
+    require_together(**given)
     sizes = float_arrays(*(checked(name, value, 0.0) for name, value in given.items()))
     if not any(is_traced(size) or np.any(size) for size in sizes):
         raise ValueError(f"{', '.join(given)} are all 0; give what disturbs the loop.")
@@ -197,7 +197,7 @@ def loop_amplitude(
     the handle, behind the actuators; an amplifier's steps come before them. ValueError also if the
     device has zero DC gain.
     """
-    require_x64(stiffness, damping)
+    require_together(stiffness=stiffness, damping=damping)
     gains = float_arrays(checked_gain("stiffness", stiffness), checked_gain("damping", damping))
     controller = controller_for(given_filters(**loop.filters))
     samples = gains[0], gains[1] / loop.sample_time

@@ -40,11 +40,11 @@ from jaxstab.arrays import (
 from jaxstab.batches import compiled
 from jaxstab.conventions import Excitation, Status
 from jaxstab.exact.turns import Segments, segments_of
-from jaxstab.model import LoopParameters, by_name, checked_gain, plant_transition, require_x64
+from jaxstab.model import LoopParameters, by_name, checked_gain, plant_transition
 from jaxstab.model.device import Device
 from jaxstab.model.device.mechanics import Mechanics, mechanics
 from jaxstab.model.filters import NO_FILTERS, Filter, Filters, Stage, Velocity, given_filters
-from jaxstab.numbers import checked, checked_count
+from jaxstab.numbers import checked, checked_count, require_together
 from jaxstab.point.poles import closed_loop_poles
 from jaxstab.shown import rounded_text
 
@@ -280,7 +280,8 @@ def simulate(
     actuators without force. ValueError also if a blow cannot throw the device, or it has zero DC
     gain.
     """
-    require_x64(stiffness, damping, force, initial_velocity, initial_position)
+    starts = {"initial_velocity": initial_velocity, "initial_position": initial_position}
+    require_together(stiffness=stiffness, damping=damping, force=force, **starts)
     checked_count("samples", samples, 1)
     checked_count("between", between, 0)
     is_mass = loop.body is not None and delays is None
@@ -647,7 +648,6 @@ def dominant_mode(
         >>> round(float(mode.damping_ratio), 4)
         0.1086
     """
-    require_x64(alpha, beta, gamma, delta)
     point = alpha, beta, gamma, delta, delay
     return mode_of(closed_loop_poles(**by_name(*point), velocity=velocity, position=position))
 

@@ -14,12 +14,12 @@ from jaxstab.arrays import Array, Numbers, float_arrays, named, namespace
 from jaxstab.batches import asked_of_lanes
 from jaxstab.conventions import HORIZON, Excitation, Status, Verdict
 from jaxstab.exact.response import settled_after
-from jaxstab.model import LoopParameters, checked_delay, checked_gain, require_x64
+from jaxstab.model import LoopParameters, checked_delay, checked_gain
 from jaxstab.model.filters import Filter, Velocity
 from jaxstab.model.loop import unit_loops
 from jaxstab.model.parameters import checked_delta, checked_gamma
 from jaxstab.motion.response import Column, answer_text, deviations
-from jaxstab.numbers import checked_count, checked_number, checked_word
+from jaxstab.numbers import checked_count, checked_number, checked_word, require_together
 from jaxstab.point.verdicts import linear_verdict
 
 
@@ -116,7 +116,7 @@ def settling_samples(
         >>> int(jaxstab.settling_samples(0.1, 0.5, gamma=0.0, delta=0.015, delay=0.0).value)
         15
     """
-    require_x64(alpha, beta, gamma, delta)
+    require_together(alpha=alpha, beta=beta, gamma=gamma, delta=delta, delay=delay)
     gains = float_arrays(checked_gain("alpha", alpha), checked_gain("beta", beta))
     lanes = *gains, *float_arrays(checked_gamma(gamma), checked_delta(delta)), checked_delay(delay)
 
@@ -137,7 +137,7 @@ def loop_settling_samples(
     All is in SI units. The hand pushes or strikes at the handle, behind the actuators. ValueError
     also if the device has zero DC gain.
     """
-    require_x64(stiffness, damping)
+    require_together(stiffness=stiffness, damping=damping)
     gains = float_arrays(checked_gain("stiffness", stiffness), checked_gain("damping", damping))
 
     return _settled(lambda: loop, gains, level, excitation, horizon)

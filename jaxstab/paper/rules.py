@@ -32,7 +32,7 @@ from jaxstab.arrays import Array, Numbers, float_arrays
 from jaxstab.model import checked_delay, checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.parameters import wall_grid
 from jaxstab.model.plant import PlantCoefficients, plant_pairs
-from jaxstab.numbers import checked_number
+from jaxstab.numbers import checked_number, require_together
 from jaxstab.region.closed_form import slice_coefficients
 
 
@@ -126,7 +126,7 @@ def checked_loop(
     alpha: Numbers, beta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers
 ) -> list[Array]:
     """Return the checked parameters as float64 arrays, with the effective delay for the delay."""
-    require_x64(alpha, beta, gamma, delta, delay)
+    require_together(alpha=alpha, beta=beta, gamma=gamma, delta=delta, delay=delay)
     return float_arrays(
         checked_gain("alpha", alpha),
         checked_gain("beta", beta),
@@ -183,7 +183,7 @@ def plus_line(
         >>> float(jaxstab.paper.plus_line(0.5, gamma=0.001, delta=0.015, delay=0.0))
         -0.001
     """
-    require_x64(beta, gamma, delta, radius)
+    require_together(beta=beta, gamma=gamma, delta=delta, delay=delay, radius=radius)
     return _line(beta, *slice_coefficients(gamma, delta, delay, radius).plus_line)
 
 
@@ -199,7 +199,7 @@ def minus_line(
         >>> round(float(jaxstab.paper.minus_line(0.5, gamma=0.0, delta=0.015, delay=0.0)), 4)
         1599.036
     """
-    require_x64(beta, gamma, delta, radius)
+    require_together(beta=beta, gamma=gamma, delta=delta, delay=delay, radius=radius)
     with np.errstate(all="ignore"):  # infinite where N(-radius) = 0
         return _line(beta, *slice_coefficients(gamma, delta, delay, radius).minus_line)
 
@@ -290,7 +290,7 @@ def passive_region(
     Source: eq. (28) of Hulin, Preusche, Hirzinger (2008) at d = 0; Colgate and Schenkel (1997) for
     whole delays; for fractional ones the Hermitian form of lemma C6 in docs/proofs.md.
     """
-    require_x64(delta, delay)
+    require_together(delta=delta, delay=delay)
     delta = checked_number("delta", checked_delta(delta))
     delay = checked_number("delay", checked_delay(delay))
     tolerance = checked_number("tolerance", tolerance, 1e-8)

@@ -27,11 +27,11 @@ from jaxtyping import Float64, Int8
 from jaxstab.arrays import Array, Numbers, namespace
 from jaxstab.conventions import Status
 from jaxstab.exact.line import LineStatus, stable_pencil
-from jaxstab.model import checked_delay, checked_delta, checked_gamma, require_x64
+from jaxstab.model import checked_delay, checked_delta, checked_gamma
 from jaxstab.model.balls import Factored, ball_triple, known_out
 from jaxstab.model.device.parts import remembered
 from jaxstab.model.loop import LoopParameters, unit_loop
-from jaxstab.numbers import checked
+from jaxstab.numbers import checked, require_together
 
 
 class ValidityStatus(Status):
@@ -95,7 +95,7 @@ def linear_validity(
 
     Source: sec. VII, eq. (24) and Fig. 7 of Hulin, Preusche, Hirzinger (2008).
     """
-    require_x64(level, gamma, delta, delay)
+    require_together(level=level, gamma=gamma, delta=delta, delay=delay)
     xp = namespace(level, gamma, delta, delay)
     values = (
         checked("level", level, 0.0, 1e3, is_open=True),

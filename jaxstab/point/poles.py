@@ -18,11 +18,10 @@ from jaxstab.model import (
     characteristic_polynomial,
     companion_matrix,
     polynomial_degree,
-    require_x64,
 )
 from jaxstab.model.filters import Filter, Velocity
 from jaxstab.model.linear_loop import LinearLoop, loop_polynomial
-from jaxstab.numbers import checked_count
+from jaxstab.numbers import checked_count, require_together
 from jaxstab.rounding import SAFETY, UNIT
 
 # Broadcast grids of points in chunks of one shape, each point at the degree of p for its delay.
@@ -71,10 +70,9 @@ def evaluate_grid(
         >>> sum(int((codes == jaxstab.Verdict.STABLE).sum()) for _, codes in parts)
         558
     """
-    require_x64(alpha, beta, gamma, delta, delay)
+    shape = require_together(alpha=alpha, beta=beta, gamma=gamma, delta=delta, delay=delay)
     checked_count("chunk", chunk, 1)
     arguments = [np.asarray(value, np.float64) for value in (alpha, beta, gamma, delta, delay)]
-    shape = np.broadcast_shapes(*(argument.shape for argument in arguments))
     total = math.prod(shape)
 
     def evaluated_part(start: int) -> tuple[slice, Result]:
@@ -127,7 +125,7 @@ def closed_loop_poles(
         0.98712203...
     """
     point = by_name(alpha, beta, gamma, delta, delay)
-    require_x64(*point.values())
+    require_together(**point)
 
     polynomial = partial(characteristic_polynomial, velocity=velocity, position=position)
     if is_any_traced(*point.values(), velocity, position):

@@ -49,12 +49,11 @@ from jaxstab.model import (
     checked_gain,
     checked_gamma,
     polynomial_degree,
-    require_x64,
 )
 from jaxstab.model.double_double import leading, size
 from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, given_filters
 from jaxstab.model.linear_loop import LinearLoop, loop_polynomial
-from jaxstab.numbers import checked_word
+from jaxstab.numbers import checked_word, require_together
 from jaxstab.point.dominance import (
     LONGEST_DELAY,
     TOLERANCE,
@@ -293,7 +292,7 @@ def spectral_radius(
     """
     checked_word("method", method, ("fast", "companion"))
     arguments = alpha, beta, gamma, delta, delay
-    require_x64(*arguments)
+    require_together(**by_name(*arguments))
     filters = given_filters(velocity, position)
     if is_any_traced(arguments, filters):
         coefficients = characteristic_polynomial(**by_name(*arguments), **as_keywords(filters))

@@ -35,7 +35,6 @@ from jaxstab.model import (
     checked_gain,
     checked_gamma,
     plant_pairs,
-    require_x64,
 )
 from jaxstab.model.balls import ball_triple
 from jaxstab.model.double_double import size_sum
@@ -44,6 +43,7 @@ from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.loop import unit_loop
 from jaxstab.model.parameters import whole_and_fraction
 from jaxstab.model.plant import may_cancel, pairs_error
+from jaxstab.numbers import require_together
 from jaxstab.point.poles import looked_up
 from jaxstab.point.schur_cohn import (
     UNDERFLOW,
@@ -328,7 +328,7 @@ def verdict(
     """
     if resolve not in (None, "exact"):
         raise ValueError(f'resolve is {resolve!r}; give "exact" or None.')
-    require_x64(alpha, beta, gamma, delta, delay)
+    require_together(alpha=alpha, beta=beta, gamma=gamma, delta=delta, delay=delay)
     filters = given_filters(velocity, position)
     gains = checked_gain("alpha", alpha), checked_gain("beta", beta)
     point = (*gains, checked_gamma(gamma), checked_delta(delta))

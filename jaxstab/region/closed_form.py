@@ -37,12 +37,12 @@ from jaxstab.arrays import (
     repeat,
 )
 from jaxstab.batches import MANY_ANGLES, compiled
-from jaxstab.model import checked_delta, checked_gamma, require_x64
+from jaxstab.model import checked_delta, checked_gamma
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filters
 from jaxstab.model.parameters import whole_and_fraction
 from jaxstab.model.plant import PlantCoefficients, plant_pairs
-from jaxstab.numbers import checked
+from jaxstab.numbers import checked, require_together
 
 # sin(x) / x and cos(x) as series in x^2, for all x up to pi/4 and derivatives, too.
 _SINC = tuple((-1.0) ** k / factorial(2 * k + 1) for k in range(10))
@@ -145,7 +145,7 @@ def boundary_curve(
         >>> round(float(alpha), 6), round(float(beta), 6)
         (0.645005, 0.596893)
     """
-    require_x64(theta, gamma, delta, radius)
+    require_together(theta=theta, gamma=gamma, delta=delta, delay=delay, radius=radius)
     angle = float_arrays(checked("theta", theta, 0.0, pi))[0]
     return curve_point(slice_coefficients(gamma, delta, delay, radius), angle)
 

@@ -12,7 +12,7 @@ from jaxstab.arrays import Array, Numbers, float_arrays, namespace
 from jaxstab.conventions import MEASURED, Status, Verdict
 from jaxstab.exact.verdict import wall_verdict
 from jaxstab.model import checked_gain, require_x64
-from jaxstab.numbers import without_noise
+from jaxstab.numbers import require_together, without_noise
 from jaxstab.region import measures
 from jaxstab.region.curve import Curve
 from jaxstab.region.outline import Outline, loop_ends, polygon_area
@@ -440,7 +440,7 @@ def _holds_small_gains(component: StableRegion) -> bool:
 
 
 def _checked_points(alpha: Numbers, beta: Numbers) -> tuple[Array, Array]:
-    require_x64(alpha, beta)
+    require_together(alpha=alpha, beta=beta)
     gains = float_arrays(checked_gain("alpha", alpha), checked_gain("beta", beta))
     stiffness, damping = namespace(gains).broadcast_arrays(*gains)
     return stiffness, damping

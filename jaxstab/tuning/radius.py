@@ -30,7 +30,7 @@ from jaxstab.model import checked_delay, checked_delta, checked_gain, checked_ga
 from jaxstab.model.filters import NO_FILTERS, Filter, Velocity, known_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.loop import LoopParameters, unit_loops
-from jaxstab.numbers import checked_number
+from jaxstab.numbers import checked_number, require_together
 from jaxstab.point import linear_spectral_radius, linear_verdict
 from jaxstab.region import RegionStatus, StableRegion
 from jaxstab.region.measures import contains
@@ -619,7 +619,8 @@ def minimize_radius(
         >>> round(float(best.beta), 4), round(float(best.value), 4)
         (0.3203, 0.823)
     """
-    require_x64(gamma, delta, alpha)
+    require_x64(alpha)
+    require_together(gamma=gamma, delta=delta)
     checked_delay(delay)
     if alpha is not None:
         alpha = checked_number("alpha", checked_gain("alpha", alpha))
