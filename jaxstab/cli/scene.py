@@ -465,6 +465,11 @@ def contact(
     Nothing is proved. The exit code is 0 if every simulated contact comes to rest, 1 if not.
     """
     if output is None:
+        of_a_map = {"frictions": frictions} | given
+        for name in ("frictions", "workers", "scheduler", "scheduler_file"):
+            if of_a_map.pop(name):
+                option = name.replace("_", "-")
+                raise click.UsageError(f"--{option} is given without --output; it is for a map.")
         return _answer(given, "contact", as_json)
     if len(given["files"]) > 1:
         raise click.UsageError("a map is for one scene; give one FILE.")

@@ -40,7 +40,7 @@ from jaxstab.model.parameters import (
     whole_and_fraction,
 )
 from jaxstab.model.plant import may_cancel, pairs_error, plant_pairs
-from jaxstab.numbers import require_together
+from jaxstab.numbers import real_numbers, require_together
 from jaxstab.rounding import FILTERS, PAIR_PRODUCT
 
 Polynomial = tuple[DoubleDouble, ...]
@@ -286,6 +286,8 @@ def companion_matrix(coefficients: Numbers) -> Float64[Array, "*grid degree degr
     """
     require_x64(coefficients)
     xp = namespace(coefficients)
+    if xp is np:
+        coefficients = real_numbers("coefficients", coefficients)
     coefficients = xp.asarray(coefficients, xp.float64)
     degree = coefficients.shape[-1] - 1 if coefficients.ndim else 0
     if degree < 1:
