@@ -342,7 +342,7 @@ def test_limits_of_gains_without_an_inertia_answer_the_least_one() -> None:
     assert (shown.exit_code, shown.stderr) == (0, "")
     lines = [" ".join(line.split()) for line in shown.stdout.splitlines()]
     assert "least inertia 0.005106930198 kg m^2" in lines
-    assert "device damping 0, assumed: the scene names none" in lines
+    assert "device damping 0 (assumed: the scene names none)" in lines
     given = run("limits", "--gains", "40", "2", "--rate", "500", "--damping", "0.1")
     assert "assumed: the scene names none" not in given.stdout.partition("device damping")[2]
 

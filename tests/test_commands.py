@@ -163,6 +163,15 @@ def test_31_15_a_delay_that_is_assumed_is_said_beside_the_estimator(command: str
     assert given.split(maxsplit=1) == ["delay", "0 s (0 samples)"]
 
 
+def test_a_device_without_damping_has_none_and_says_so() -> None:
+    words = ("limits", "--mass", "0.3", "--rate", "1000", "--delay", "0.001")
+    assumed, given = run(*words), run(*words, "--damping", "0")
+    said = [line for line in assumed.stdout.splitlines() if line not in given.stdout.splitlines()]
+    assert [line.split(maxsplit=2) for line in said] == [
+        ["device", "damping", "0 (assumed: the scene names none)"]
+    ]
+
+
 @pytest.mark.parametrize(
     ("options", "code", "words"),
     [

@@ -432,5 +432,5 @@ class TestCompanionMatrix:
     def test_refuses_a_constant(self) -> None:
         with pytest.raises(ValueError, match="at least two"):
             jaxstab.companion_matrix(np.array([1.0]))
-        with pytest.raises(TypeError, match="coefficients is .*; give real numbers"):
+        with pytest.raises(TypeError, match=r"coefficients is .*; give real numbers"):
             jaxstab.companion_matrix([[1.0], [1.0, 2.0]])

@@ -246,11 +246,6 @@ def test_a_device_of_which_no_mass_is_known_asks_for_one() -> None:
             "device.mass is missing; give it in kg (--mass), or inertia in kg m^2 (--inertia) for "
             "a device that turns.",
         ),
-        (
-            "device",
-            {"inertia": 0.1},
-            "device.damping is missing; give it in N m s/rad (--damping).",
-        ),
         ("wanted.measures", ["margin"], "wanted.measures.0 is 'margin'; did you mean 'margins'?"),
         ("wanted.measures", "margins", "wanted.measures is 'margins'; give a list."),
     ],

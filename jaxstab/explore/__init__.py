@@ -88,7 +88,7 @@ def _state(scene: Scene) -> dict[str, Any]:
     stiffness, damping = _cursor(scene)
     return {
         "mass": device.effective_mass[0],
-        "damping": device.damping,
+        "damping": device.effective_damping,
         **_hand(scene, 0),
         "period": scene.controller.sample_time,
         "delay": loop.delay_samples,

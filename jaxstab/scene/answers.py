@@ -260,6 +260,7 @@ class Basis(Answer):
     lost_samples: Annotated[int, Quantity()] | None
     mass: MassRange
     damping: Damping
+    damping_is: str | None
     hand_mass: MassRange | None
     hand_stiffness: Annotated[tuple[float, float], Quantity("N/m")] | None
     hand_damping: Annotated[tuple[float, float], Quantity("N s/m")] | None
@@ -275,12 +276,12 @@ class Basis(Answer):
     @property
     def range_of_delays(self) -> str | None:
         """The description of a range of delays; None for one delay."""
-        return None if self.delay_is == _NO_DELAY else self.delay_is
+        return None if self.delay_is == _ASSUMED else self.delay_is
 
     @property
     def delay_in_words(self) -> str:
         """The delay with its unit and in samples, or that it is assumed."""
-        if self.delay_is == _NO_DELAY:
+        if self.delay_is == _ASSUMED:
             return f"{self.delay:g} ({self.delay_is})"
         words = Quantity("s").words(self.delay)
         plural = "" if self.delay_samples == 1.0 else "s"
@@ -293,6 +294,7 @@ class Basis(Answer):
             "position filter": self.position,
             "delay": self.delay_in_words,
             "range of delays": self.range_of_delays and f"the delay {self.range_of_delays}",
+            "device damping": self.damping_is and f"0 ({self.damping_is})",
             "mechanics": self.mechanics,
             "postures": self.postures,
             "motion": self.motion,
@@ -343,14 +345,14 @@ def quantities(kind: Any) -> dict[str, Quantity]:
 
 # The basis of a scene's answers, stated in front of them.
 
-_NO_DELAY = "assumed: the scene names none"
+_ASSUMED = "assumed: the scene names none"
 
 
 def _delay_is(controller: Controller, constant: str | None) -> str | None:
     """Describe a range of delays and for which of them answers hold; None for one delay."""
     if controller.has_one_delay:
         is_given = controller.delay is not None or controller.delay_samples is not None
-        return None if is_given else _NO_DELAY
+        return None if is_given else _ASSUMED
     low, high = controller.delays
     ends = Quantity("s").words((low, high)).replace(" to ", " and ")
     every = "sequence" if controller.moves else "constant delay"
@@ -393,7 +395,8 @@ def basis_of(scene: Scene, *, at_longest: bool = False, constant: str = "the lon
         delay_is=_delay_is(controller, constant if at_longest else None),
         lost_samples=None if at_longest else controller.lost_samples or None,
         mass=device.effective_mass,
-        damping=device.damping,
+        damping=device.effective_damping,
+        damping_is=_ASSUMED if device.damping is None else None,
         hand_mass=None if hand is None else hand.effective_mass,
         hand_stiffness=None if hand is None else hand.stiffness,
         hand_damping=None if hand is None else hand.damping,
@@ -418,7 +421,7 @@ def blocks_of(scene: Scene) -> dict[str, str]:
     )
     turning = "" if units is Units.LINE else ", which turns"
     blocks = {
-        "device": f"{mass}, {Quantity('N s/m').words(device.damping, units)}{turning}",
+        "device": f"{mass}, {Quantity('N s/m').words(device.effective_damping, units)}{turning}",
         "hand": ", ".join(own) if scene.hand else "none",
     }
     for index, mode in enumerate(device.modes, 1):

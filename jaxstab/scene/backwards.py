@@ -47,11 +47,10 @@ def known_of(table: Mapping[str, Any]) -> set[str]:
 
 @dataclass(frozen=True)
 class Backwards:
-    """A scene, the quantity that is asked for, and whether its damping is assumed to be 0."""
+    """A scene, and the quantity that is asked for."""
 
     scene: Scene
     asked: str
-    has_no_damping: bool
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any], source: str, asked: str) -> "Backwards":
@@ -59,13 +58,12 @@ class Backwards:
         if "loop" in table:
             raise ValueError(f"{source}: {_NO_WALL}" if source else _NO_WALL)
         known, device = known_of(table), table.get("device", {})
-        missing = {} if "damping" in known else {"damping": 0.0}
-        if QUANTITIES[asked] == "device_mass" and not {"mass", "inertia"} & known:
-            missing[asked] = 1.0  # any
-        device = {**device, **missing} if isinstance(device, Mapping) else device  # is refused
+        is_missing = QUANTITIES[asked] == "device_mass" and not {"mass", "inertia"} & known
+        if is_missing and isinstance(device, Mapping):  # others are refused
+            device = {**device, asked: 1.0}  # any
         scene = Scene.from_table({**table, "device": device}, source)
         scene.require_walls()
-        return cls(scene, asked, "damping" in missing and asked != "damping")
+        return cls(scene, asked)
 
     def unusual(self) -> list[str]:
         """Describe values that look like a slip of the unit."""
@@ -94,10 +92,11 @@ class Backwards:
         walls = {
             name: _needs(wall, values, scene.units, every) for name, (wall, values) in found.items()
         }
-        assumed = "0, assumed: the scene names none" if self.has_no_damping else None
+        if self.asked == "damping":
+            inputs = replace(inputs, damping_is=None)
         # ``limits`` answers for all delays, ``design`` for the one that its answer names.
         is_for_all = command == "design" or has_one_delay
-        values = {"inputs": inputs, "device_damping": assumed, "walls": walls}
+        values = {"inputs": inputs, "walls": walls}
         return GainAnswer(values, is_stable=is_for_all)
 
 

@@ -104,7 +104,7 @@ def _cells_of(scene: Scene) -> tuple[int, int, int]:
 def guard_about(scene: Scene, guard: Guard) -> str:
     """The loop and the ranges of a guard, and what it grants, in lines."""
     units, blocks = scene.units, blocks_of(scene)
-    damping = Quantity("N s/m").words(scene.device.damping, units)
+    damping = Quantity("N s/m").words(scene.device.effective_damping, units)
     blocks["device"] = f"{range_in_words(guard.mass)} {units.kilogram}, {damping}"
     del blocks["delay"]
     lost = f", up to {guard.lost} in a row lost" if guard.lost else ""

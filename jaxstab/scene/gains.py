@@ -72,6 +72,11 @@ class OtherDevice(Device):
     hand: Hand | None = t.key(t.nested(Hand), None)
     delay_samples: float = t.key(t.quantity("samples"), 0.0)
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.damping is None:  # answers would not say that none is assumed
+            raise ValueError(f"damping is missing; give it {self.asked('damping')}.")
+
 
 def _loop(table: Any, held: Scene | None) -> tuple[Loop, tuple[float, float]]:
     """Return the loop of a table [loop], and the range of its environment; 1 twice without one."""

@@ -135,7 +135,7 @@ def range_of_hands(scene: Scene) -> HandRange:
 def _one_mass(scene: Scene, hand: OneHand) -> dict[str, float]:
     return {
         "device_mass": hand.device_mass or scene.device.effective_mass[0],
-        "device_damping": scene.device.damping,
+        "device_damping": scene.device.effective_damping,
         "hand_mass": hand.mass,
         "hand_damping": hand.damping,
         "hand_stiffness": hand.stiffness,
@@ -162,7 +162,7 @@ def device_of(scene: Scene, hand: OneHand | None = None) -> Device:
         )
         for mode in table.modes
     ]
-    mass, damping = hand.device_mass or table.effective_mass[0], table.damping
+    mass, damping = hand.device_mass or table.effective_mass[0], table.effective_damping
     device = Device.mass_spring_damper(mass, damping=damping)
     if modes:
         device = Device.modes(modes, mass=mass, damping=damping)
@@ -181,7 +181,7 @@ def _check_scale(scene: Scene) -> None:
     """Refuse masses, hands and dampers that the model cannot compute, in the words of a scene."""
     hand, period = scene.hand or Hand(), scene.controller.sample_time
     lightest, heaviest = map(add, scene.device.effective_mass, hand.effective_mass)
-    damping, moved = scene.device.damping + hand.damping[1], scene.units.moved
+    damping, moved = scene.device.effective_damping + hand.damping[1], scene.units.moved
     gamma = hand.stiffness[1] * period * period / lightest
     for words, value, most in (
         (f"{moved}/T^2 of device and hand", heaviest / period / period, GAIN_LIMIT),

@@ -154,8 +154,9 @@ class Device(t.Table):
     """The haptic device: effective mass in kg and physical damping in N s/m, or a preset.
 
     A device that turns has a moment of inertia in kg m^2 in place of the mass, and its damping is
-    in N m s/rad. Either may be a range, from the lowest to the highest one of all postures.
-    Vibration modes and an actuator are of any device. Friction is simulated, see ``Contact``.
+    in N m s/rad; it is 0 if none is given. Mass or inertia may be a range, from the lowest to the
+    highest one of all postures. Vibration modes and an actuator are of any device. Friction is
+    simulated, see ``Contact``.
     """
 
     preset: str | None = t.key(
@@ -172,8 +173,8 @@ class Device(t.Table):
         t.Usual(1e-8, 50.0),
         words="moment of inertia of the device",
     )
-    damping: float = t.key(
-        t.quantity("N s/m"), usual=t.Usual(0.0, 100.0, (0.0, 10.0)), words="damping of the device"
+    damping: float | None = t.key(
+        t.quantity("N s/m"), None, t.Usual(0.0, 100.0, (0.0, 10.0)), words="damping of the device"
     )
     encoder: Encoder | None = t.key(t.nested(Encoder), None)
     modes: tuple[VibrationMode, ...] = t.key(t.each(t.nested(VibrationMode)), ())
@@ -212,12 +213,11 @@ class Device(t.Table):
                 raise ValueError(cls._no_mass())
             return table  # a preset that is not known is refused
         defaults = preset.values(("mass", "damping"))
-        for name in ("mass", "damping"):
-            if name not in defaults and name not in table:
-                raise ValueError(
-                    f"{name} is missing; no source has that of the preset {table['preset']!r}, so "
-                    f"give it {cls.asked(name)}."
-                )
+        if "mass" not in {*defaults, *table}:
+            raise ValueError(
+                f"mass is missing; no source has that of the preset {table['preset']!r}, so give "
+                f"it {cls.asked('mass')}."
+            )
         return {**defaults, **table}
 
     @classmethod
@@ -236,6 +236,11 @@ class Device(t.Table):
     def effective_mass(self) -> tuple[float, float]:
         """The lowest and the highest mass in kg, or moment of inertia in kg m^2."""
         return self.mass or self.inertia or (0.0, 0.0)
+
+    @property
+    def effective_damping(self) -> float:
+        """The damping in N s/m, or N m s/rad; 0 where none is given."""
+        return self.damping or 0.0
 
     @property
     def largest_friction(self) -> float:
