@@ -512,14 +512,38 @@ def test_a_link_reproduces_the_state_and_a_scene_is_one(rng: np.random.Generator
     states += [initial_of(page_of(table))["state"] for table in CONTACTS]
     words = {"stiffness": 1.5, "damping": -2.0, "name": 'a "b" & c=d #é'}
     states[0]["walls"].append(words)
-    assert [state | {"software": None} for state in asked_of_node("links", states)] == [
-        state | {"software": None} for state in states
-    ]
+    assert asked_of_node("links", states) == states
     del states[0]["walls"][-1]
     for state, text in zip(states, asked_of_node("scenes", states), strict=True):
         scene = Scene.from_table(tomllib.loads(text))
         again = initial_of(explorer_page(scene))["state"]
-        assert again | {"software": None} == state | {"software": None}
+        assert again == state
+
+
+@needs_node
+def test_a_link_keeps_long_windows_and_high_orders() -> None:
+    """A shorter window or a lower order is another estimator, which allows stiffer walls."""
+    velocity = {"window_samples": 200, "cutoff": 40.0, "order": 12, "kind": "butterworth"}
+    walls = {f"{'a' * 63}{end}": {"stiffness": 1.0, "damping": 1.0} for end in "bc"}
+    table = {"controller": {"sample_time": 1e-4, "delay": 2e-2, "velocity": velocity}}
+    state = initial_of(page_of(table | {"walls": walls}))["state"]
+    assert (state["window"], state["order"], state["delay"]) == (200, 12, 200.0)
+    other = initial_of(page_of({}))["state"]
+    assert asked_of_node("links", [other, state])[1] == state
+    beyond = state | {"window": 201, "delay": 201.0, "numerator": [1.0, -1.0]}  # half a filter
+    unchanged = {key: other[key] for key in ("window", "delay", "numerator", "denominator")}
+    (_, taken) = asked_of_node("links", [other, beyond])
+    assert {key: taken[key] for key in unchanged} == unchanged
+
+
+@needs_node
+def test_the_scene_has_the_cut_off_that_the_page_computes_with() -> None:
+    velocity = {"cutoff": 400.0, "order": 2, "kind": "butterworth"}
+    controller = {"sample_time": 1e-3, "velocity": velocity}
+    state = initial_of(page_of({"controller": controller}))["state"] | {"period": 5e-3}
+    (text,) = asked_of_node("scenes", [state])
+    assert tomllib.loads(text)["controller"]["velocity"]["cutoff"] == pytest.approx(99.8)
+    Scene.from_table(tomllib.loads(text))
 
 
 # --------------------------------------------------------------------------- in a real browser
@@ -690,6 +714,35 @@ def test_sliders_move_by_keys_and_the_link_brings_the_state_back(omega: Browser)
 
 
 @pytest.mark.campaign
+def test_the_choice_of_software_names_the_estimator_that_is_computed(omega: Browser) -> None:
+    """Of 20 ms at 1 kHz, and after each of these changes."""
+    for change, words in (
+        ("", "force-dimension-sdk"),
+        ("changeTo('period', 1e-4);", "as set below"),  # then its 20 samples are 2 ms
+        (SDK, "force-dimension-sdk"),  # 200 samples
+        ("changeTo('window', 1);", "the difference over one sample, as in the paper"),
+        ("changeTo('period', 5e-5);", "the difference over one sample, as in the paper"),
+        (SDK, "the difference over one sample, as in the paper"),  # 400 samples are too many
+    ):
+        omega.run(f"{change} sayMore();")
+        assert omega.run(CHOSEN) == words
+    refusal = omega.run("return document.getElementById('refusal').textContent;")
+    assert "the window of force-dimension-sdk in samples must be a number from 1 to 200" in refusal
+    address = omega.run("return location.href;")
+    omega.open("about:blank")
+    omega.open(address)
+    assert omega.run(CHOSEN) == "the difference over one sample, as in the paper"
+
+
+CHOSEN = "return document.getElementById('software').selectedOptions[0].textContent;"
+SDK = """
+const choice = document.getElementById("software");
+choice.value = Array.from(choice.options).find((one) => one.text === "force-dimension-sdk").value;
+choice.dispatchEvent(new Event("change"));
+"""
+
+
+@pytest.mark.campaign
 def test_narrow_pages_show_the_first_slider_and_do_not_scroll_sideways(omega: Browser) -> None:
     try:
         for width, most in ((500, 460), (390, 480), (320, 520)):
@@ -726,6 +779,8 @@ def test_values_that_are_refused_are_named_in_one_sentence(omega: Browser) -> No
         ("damping", 1e9, "the damping b is too large for this mass and sampling period"),
         ("period", 1e-5, "the sampling period is below 1 µs"),
         ("mass", -1, "mass must be a number above 0 to 1e12"),
+        ("window", 201, "window must be a number from 1 to 200"),
+        ("delay", 201, "delay must be a number from 0 to 200"),
         ("mass", 0.25, ""),
     ):
         refusal, kept = omega.run(GIVE, key, value)

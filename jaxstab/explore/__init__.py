@@ -93,7 +93,6 @@ def _state(scene: Scene) -> dict[str, Any]:
         "period": scene.controller.sample_time,
         "delay": loop.delay_samples,
         **_estimator(scene.controller.velocity, scene.controller.sample_time),
-        "software": _index_of(scene.controller.velocity),
         "cursorStiffness": stiffness,
         "cursorDamping": damping,
         "motion": scene.units.name.lower(),
@@ -160,11 +159,6 @@ def _coefficients(velocity: Velocity, period: float) -> dict[str, list[float]]:
     return {"numerator": numerator, "denominator": denominator}
 
 
-def _index_of(table: VelocityTable | None) -> int | None:
-    names = [software["title"] for software in _software()]
-    return names.index(table.preset) if table is not None and table.preset in names else None
-
-
 def _software() -> list[dict[str, Any]]:
     """Return the velocity estimators of software, as far as their makers document them."""
     keys = ("window", *NO_FILTER)
@@ -181,6 +175,8 @@ def _notes(scene: Scene, title: str) -> list[str]:
         notes.append("The scene has ranges: the page begins with their lowest values.")
     if scene.controller.velocity is None:
         notes.append("The scene names no estimator: the difference over one sample is assumed.")
+    if scene.controller.velocity is not None and scene.controller.velocity.is_other_estimator:
+        notes.append("Its estimator keeps its coefficients where the sampling period changes.")
     ignored = _ignored_of_contacts(scene)
     if ignored:
         notes.append(f"Simulated contacts on this page ignore {', '.join(ignored)} of the scene.")

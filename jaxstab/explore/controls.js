@@ -75,8 +75,10 @@ function softwareChoice() {
   choice.setAttribute("aria-label", "Velocity as a software estimates it");
   initial.software.forEach(({ title }, index) => choice.append(html("option", { value: index, textContent: title })));
   choice.addEventListener("change", () => {
-    const chosen = initial.software[choice.value];
-    if (chosen) update({ ...estimatorOf(chosen, state.period), software: Number(choice.value) });
+    const chosen = initial.software[choice.value], next = chosen && estimatorOf(chosen, state.period);
+    if (!next) return;
+    const refusal = next.window ? "" : refusalOf("window", `the window of ${chosen.title} in samples`);
+    update(refusal ? {} : next, null, refusal);
   });
   return choice;
 }
@@ -90,16 +92,25 @@ function estimatorOf({ window, cutoff, order, kind, factor, numerator, denominat
   };
 }
 
+/** The software whose estimator that of a state is, as its place in the choice; -1 where there is none. */
+function softwareOf(state) {
+  const text = JSON.stringify;
+  return initial.software.findIndex((software) =>
+    Object.entries(estimatorOf(software, state.period)).every(([key, value]) => text(value) === text(state[key])));
+}
+
+/** Why a value is refused, in words. */
+function refusalOf(key, label) {
+  return `${label} must be a number ${boundsOf(key)[2]}`;
+}
+
 /** Take a value of a control over, if it is one that can be computed. */
 function changeTo(key, value, moved) {
   const next = { [key]: acceptable(key, value) };
   if (Number.isNaN(next[key])) {
-    const { label } = quantitiesOf(state.motion).find((one) => one.key === key);
-    return update({}, null, `${label} must be a number ${key === "mass" || key === "period" ? "above" : "from"} 0 to 1e12`);
+    return update({}, null, refusalOf(key, quantitiesOf(state.motion).find((one) => one.key === key).label));
   }
-  if (key === "window" || key === "cutoff") {
-    Object.assign(next, { numerator: null, denominator: null, software: null });
-  }
+  if (key === "window" || key === "cutoff") Object.assign(next, { numerator: null, denominator: null });
   return update(next, moved);
 }
 

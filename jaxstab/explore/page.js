@@ -27,7 +27,8 @@ function update(changes, moved, refusal = "") {
 function showState(moved) {
   for (const quantity of quantitiesOf(state.motion)) showIn(quantity, state[quantity.key], moved);
   for (const quantity of cursorQuantities()) showIn(quantity, state[quantity.key], moved);
-  assign(byId("software"), "value", state.software === null ? "" : String(state.software));
+  const software = softwareOf(state);
+  assign(byId("software"), "value", software < 0 ? "" : String(software));
   const setup = setupOf(state), rate = 1 / state.period;
   const late = `${short(rounded(state.delay * state.period * 1e3, 3))} ms`;
   assign(byId("controller-hint"), "textContent", `${short(rate)} Hz; a delay of ${late}`);
@@ -221,7 +222,7 @@ function warmUp() {
     for (const key of ["mass", "period", "delay", "window"]) {
       const value = acceptable(key, state[key] * factor);
       const other = setupOf({ ...state, [key]: value });
-      whenIdle(() => isComputable(other) && computed(other, LOOKS_IN_MOTION));
+      whenIdle(() => Number.isFinite(value) && isComputable(other) && computed(other, LOOKS_IN_MOTION));
     }
   }
 }

@@ -1,9 +1,12 @@
 // The state of the page: what the controls say, as numbers in SI units, and as a link.
 "use strict";
 
-const MOST_WINDOW = 40; // samples, with what stands behind the window
+const LONGEST_WINDOW = 200; // samples, as in jaxstab
+const MOST_SLIDER_WINDOW = 40;
 const LONGEST_DELAY = 200; // samples
 const MOST_SLIDER_DELAY = 40;
+const HIGHEST_ORDER = 40; // of a low pass, as in jaxstab
+const LONGEST_NAME = 64; // of a wall, as in jaxstab
 const LIMIT_DIGITS = 4; // that are printed of a limit
 const MOST_DIGITS = 12; // of any number
 const NOTHING = 1e-9; // of another number: rounding
@@ -34,7 +37,7 @@ function quantitiesOf(motion) {
     { key: "handDamping", group: "hand", label: "damping", unit: damping, ...log(...ofDamping, true) },
     { key: "period", group: "controller", label: "sampling period", unit: "ms", map: "log", low: 1e-4, high: 1e-2, scale: 1e3 },
     { key: "delay", group: "controller", label: "delay", unit: "samples", map: "square", low: 0, high: MOST_SLIDER_DELAY, scale: 1 },
-    { key: "window", group: "velocity", label: "window", unit: "samples", map: "whole", low: 1, high: MOST_WINDOW, scale: 1 },
+    { key: "window", group: "velocity", label: "window", unit: "samples", map: "whole", low: 1, high: MOST_SLIDER_WINDOW, scale: 1 },
     { key: "cutoff", group: "velocity", label: "low pass at", unit: "Hz", map: "log", low: 5, high: 5e3, hasZero: true, isInverse: true, scale: 1 },
     { key: "friction", group: "contact", label: "friction", unit: force, ...log(...ofPush, true) },
     { key: "push", group: "contact", label: "push", unit: force, ...log(...ofPush, false) },
@@ -93,13 +96,18 @@ function printedWall(loop, scale, [alpha, beta]) {
   return [limit, other];
 }
 
+/** The values of a quantity that can be computed: the least, the largest and, in words, both. */
+function boundsOf(key) {
+  if (key === "mass" || key === "period") return [Number.MIN_VALUE, 1e12, "above 0 to 1e12"];
+  if (key === "window") return [1, LONGEST_WINDOW, `from 1 to ${LONGEST_WINDOW}`];
+  const most = key === "delay" ? LONGEST_DELAY : 1e12;
+  return [0, most, `from 0 to ${most === 1e12 ? "1e12" : most}`];
+}
+
 /** A value within what can be computed, or NaN for what is no such number. */
 function acceptable(key, value) {
-  if (!Number.isFinite(value) || value < 0 || value > 1e12) return NaN;
-  if (key === "mass" || key === "period") return value > 0 ? value : NaN;
-  if (key === "window") return Math.min(MOST_WINDOW, Math.max(1, Math.round(value)));
-  if (key === "delay") return Math.min(LONGEST_DELAY, value);
-  return value;
+  const [least, most] = boundsOf(key), taken = key === "window" ? Math.round(value) : value;
+  return taken >= least && taken <= most ? taken : NaN;
 }
 
 /** The setup of a state: what loopOf takes. A low pass ends below half of the sampling rate. */
@@ -147,14 +155,14 @@ function stateOfHash(hash, state) {
     const free = key.startsWith("cursor") ? Number(parts.get(key)) : value;
     if (Number.isFinite(free)) next[key] = free;
   }
-  next.order = Math.min(8, Math.max(1, Math.round(next.order)));
+  next.order = Math.min(HIGHEST_ORDER, Math.max(1, Math.round(next.order)));
   for (const [key, words] of Object.entries(WORDS)) {
     if (words.includes(parts.get(key))) next[key] = parts.get(key);
   }
-  for (const key of LISTS) {
-    const numbers = (parts.get(key) || "").split(" ").map(Number);
-    next[key] = parts.get(key) && numbers.every(Number.isFinite) ? numbers : null;
-  }
+  const [above, below] = LISTS.map((key) => (parts.get(key) || "").split(" ").map(Number));
+  const isFilter = LISTS.every((key) => parts.get(key)) && [...above, ...below].every(Number.isFinite)
+    && below[0] !== 0 && above.length <= below.length;
+  [next.numerator, next.denominator] = isFilter ? [above, below] : [null, null];
   next.walls = parts.getAll("wall").map(wallOfWords).filter(Boolean);
   return next;
 }
@@ -162,7 +170,7 @@ function stateOfHash(hash, state) {
 /** A wall of "K B name"; null where there are no such numbers. */
 function wallOfWords(words) {
   const [stiffness, damping, ...name] = words.split(" ");
-  const wall = { name: name.join(" ").slice(0, 40), stiffness: Number(stiffness), damping: Number(damping) };
+  const wall = { name: name.join(" ").slice(0, LONGEST_NAME), stiffness: Number(stiffness), damping: Number(damping) };
   return Math.abs(wall.stiffness) + Math.abs(wall.damping) < 1e12 ? wall : null;
 }
 
@@ -177,7 +185,7 @@ function sceneOf(state) {
     "[hand]", `${mass} = ${state.handMass}`, `stiffness = ${state.handStiffness}`,
     `damping = ${state.handDamping}`, "",
     "[controller]", `sample_time = ${state.period}`, `delay_samples = ${state.delay}`, "",
-    "[controller.velocity]", ...velocityLines(state),
+    "[controller.velocity]", ...velocityLines(setupOf(state).estimator),
     ...(isSimulated ? ["", "[contact]", `push = ${state.push}`, `speed = ${state.speed}`] : []),
   ];
   state.walls.forEach(({ name, stiffness, damping }) => {
@@ -186,13 +194,11 @@ function sceneOf(state) {
   return `${lines.join("\n")}\n`;
 }
 
-function velocityLines(state) {
+function velocityLines({ window, cutoff, order, kind, factor, numerator, denominator }) {
   const list = (numbers) => `[${numbers.join(", ")}]`;
-  if (state.numerator) {
-    return [`numerator = ${list(state.numerator)}`, `denominator = ${list(state.denominator)}`];
-  }
-  const lines = [`window_samples = ${state.window}`];
-  if (state.cutoff > 0) lines.push(`cutoff = ${state.cutoff}`, `order = ${state.order}`, `kind = "${state.kind}"`);
-  if (state.factor > 0 && state.factor < 1) lines.push(`factor = ${state.factor}`);
+  if (numerator) return [`numerator = ${list(numerator)}`, `denominator = ${list(denominator)}`];
+  const lines = [`window_samples = ${window}`];
+  if (cutoff > 0) lines.push(`cutoff = ${cutoff}`, `order = ${order}`, `kind = "${kind}"`);
+  if (factor > 0 && factor < 1) lines.push(`factor = ${factor}`);
   return lines;
 }

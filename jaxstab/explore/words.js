@@ -80,7 +80,7 @@ const LOOKS_OF_VERDICTS = { [STABLE]: "good", [UNSTABLE]: "bad", [UNDECIDED]: ""
 
 /** Show the verdicts of the walls in their rows, which are built anew where walls come or go. */
 function showVerdicts(walls) {
-  const body = byId("walls").tBodies[0], key = state.walls.map(({ name }) => name).join("|");
+  const body = byId("walls").tBodies[0], key = JSON.stringify(state.walls.map(({ name }) => name));
   if (body.dataset.key !== key) buildWalls(body, key);
   walls.forEach(({ stiffness, damping, code, radius }, index) => {
     const cells = body.rows[index].cells;
