@@ -1,5 +1,6 @@
 """Verdicts and atlases in C: against roots of 50 digits, and against Python."""
 
+import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -130,6 +131,21 @@ def test_extreme_numbers_are_answered_without_a_fault(program: Path) -> None:
     bad = ~np.isfinite(cases).all(axis=1) | (cases[:, 2:] < 0.0).any(axis=1)
     assert (codes[bad] == Verdict.UNDECIDED).all()
     assert set(codes.tolist()) == {1.0, 2.0, 3.0}
+
+
+@pytest.mark.parametrize("option", ["-ffast-math", "-ffinite-math-only"])
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_compilers_that_leave_out_comparisons_with_nan_are_refused(
+    compiler: str, option: str
+) -> None:
+    """By either option NaN passed, decided by clang's program, and a crash of gcc's."""
+    if shutil.which(compiler) is None:
+        pytest.skip(f"there is no {compiler}")
+    words = [compiler, "-std=c99", "-fsyntax-only", f"-I{READER}", HERE / "verdict_points.c"]
+    assert subprocess.run(words, capture_output=True, check=False).returncode == 0
+    done = subprocess.run([*words, option], capture_output=True, text=True, check=False)
+    assert done.returncode != 0
+    assert "no -ffast-math, no -ffinite-math-only" in done.stderr
 
 
 def test_the_left_edge_needs_no_rounding(program: Path) -> None:

@@ -22,13 +22,13 @@
  *
  * What is assumed, and measured against 50 digits (tests/test_readers.py): that the plant's numbers
  * are wrong by at most PLANT 2^h units of 2^-52. Beyond about 25 samples of delay bounds grow until
- * hardly anything is decided. Do not compile with -ffast-math.
+ * hardly anything is decided. Do not compile with -ffast-math, nor with parts of it.
  */
 #ifndef JAXSTAB_VERDICT_H
 #define JAXSTAB_VERDICT_H
 
-#ifdef __FAST_MATH__
-#error "jaxstab_verdict.h compares with NaN and infinity: compile without -ffast-math"
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
+#error "jaxstab_verdict.h compares with NaN and infinity: no -ffast-math, no -ffinite-math-only"
 #endif
 
 enum { JAXSTAB_STABLE = 1, JAXSTAB_UNSTABLE = 2, JAXSTAB_UNDECIDED = 3 };
