@@ -242,6 +242,26 @@ def test_regions_have_the_components_and_extremes_of_the_exact_ones(
 
 
 @needs_node
+@pytest.mark.parametrize(
+    ("mass", "stiffness", "period", "delay", "window"),
+    [(0.16, 2380.0, 1.17e-3, 40.0, 40), (0.74, 351000.0, 4.57e-3, 27.7, 30)],
+)
+def test_small_gains_are_reached_next_to_an_axis(
+    mass: float, stiffness: float, period: float, delay: float, window: int
+) -> None:
+    """Of a spring without damper, late, only walls with hardly any damping are."""
+    zeros = dict.fromkeys(("damping", "handMass", "handDamping"), 0.0)
+    estimator = {"window": window, "cutoff": 0.0, "order": 1, "kind": "low-pass", "factor": 1.0}
+    numbers = {"mass": mass, "handStiffness": stiffness, "period": period, "delay": delay}
+    setup = numbers | zeros | {"estimator": estimator}
+    main = loop_of(setup).region().main
+    assert main is not None
+    (answer,) = asked_of_node("regions", [setup])
+    assert answer["hasMain"]
+    assert answer["farthest"][0][0][0] == pytest.approx(main.stiffest.stiffness, rel=1e-5)
+
+
+@needs_node
 def test_an_estimator_by_its_coefficients_has_its_own_region() -> None:
     table = {"velocity": {"preset": "hapkit"}, "sample_time": 1e-4}
     scene = Scene.from_table({"device": {"mass": 0.1, "damping": 1.0}, "controller": table})
@@ -739,6 +759,22 @@ SDK = """
 const choice = document.getElementById("software");
 choice.value = Array.from(choice.options).find((one) => one.text === "force-dimension-sdk").value;
 choice.dispatchEvent(new Event("change"));
+"""
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("size", [1e-8, 1e-3, 1e4])
+def test_numbers_at_the_axes_are_whole(omega: Browser, tmp_path: Path, size: float) -> None:
+    file = tmp_path / "size.html"
+    file.write_text(page_of({"device": {"inertia": size, "damping": size}}), "utf-8")
+    omega.open(file.as_uri())
+    assert omega.run(LEFTMOST) >= 0.0
+
+
+LEFTMOST = """
+const left = document.getElementById("picture").getBoundingClientRect().left;
+const numbers = Array.from(document.querySelectorAll("#picture text.quiet"));
+return Math.min(...numbers.map((one) => one.getBoundingClientRect().left - left));
 """
 
 

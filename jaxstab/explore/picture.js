@@ -126,7 +126,7 @@ function drawnAxes(frame, view) {
 function short(value) {
   if (value === 0) return "0";
   const size = Math.abs(value);
-  if (size >= 1e9 || size < 1e-3) return value.toPrecision(2).replace(/\.?0+e/, "e");
+  if (size >= 1e6 || size < 1e-3) return Number(value.toPrecision(4)).toExponential(); // its zeros would not fit beside an axis
   return IN_DIGITS.format(value);
 }
 

@@ -288,12 +288,20 @@ function holds(points, [x, y]) {
   return inside;
 }
 
-/** Whether positive gains next to 0 are inside, as jaxstab.StableRegion.main asks. */
-function holdsSmallGains(points) {
+/**
+ * Whether positive gains next to 0 are inside, as jaxstab.StableRegion.main asks. Next to 0 the
+ * polygon may be coarser than the set: what is stable from there on until it is inside counts, too.
+ */
+function holdsSmallGains(loop, points) {
   const { low, high } = extentOf(points);
   const most = [0, 1].map((axis) => Math.max(Math.abs(low[axis]), Math.abs(high[axis])));
-  for (let ratio = -6; ratio <= 0; ratio++) {
-    if (holds(points, [SMALL * most[0] * 10 ** ratio, SMALL * most[1]])) return true;
+  for (let ratio = -6; ratio <= 6; ratio++) { // of alpha to beta, in units of what the component spans
+    const way = [most[0] * 10 ** Math.min(ratio, 0), most[1] * 10 ** Math.min(-ratio, 0)];
+    for (let share = SMALL; share < 0.1; share *= 2) {
+      const [alpha, beta] = way.map((one) => share * one);
+      if (holds(points, [alpha, beta])) return true;
+      if (!isStable(loop, alpha, beta)) break;
+    }
   }
   return false;
 }
@@ -303,7 +311,7 @@ function componentOf(loop, chain) {
   const { size } = extentOf(chain.flatMap(pointsOf));
   const pieces = chain.map((piece) => smoothed(loop, piece, size));
   const points = pieces.flatMap((piece) => piece.points);
-  return { points, area: areaOf(points), holdsSmallGains: holdsSmallGains(points), pieces };
+  return { points, area: areaOf(points), holdsSmallGains: holdsSmallGains(loop, points), pieces };
 }
 
 /**
