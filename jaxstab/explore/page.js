@@ -62,14 +62,14 @@ function computed(setup, looks) {
   const loop = loopOf(setup), region = regionOf(loop, looks), scale = unitsOf(setup);
   const main = mainOf(region), rest = region.components.filter((one) => one !== main);
   const other = isPlain(setup) ? { isClosed: true, sample: null } : oneSampleOf(setup, looks);
-  const best = main && farthest(loop, main, 0);
+  const best = main && farthest(loop, main, 0), printed = best && printedWall(loop, scale, best);
   return {
     setup, loop, region, scale, plain: other.sample,
     isRough: looks < LOOKS && !(region.isClosed && other.isClosed),
     main: outlinesOf(main ? [main] : [], scale),
     islands: outlinesOf(rest, scale),
-    stiffest: best && [best[0] * scale.stiffness, best[1] * scale.damping],
-    printed: best && printedWall(loop, scale, best),
+    stiffest: printed && [best[0] * scale.stiffness, best[1] * scale.damping],
+    printed,
   };
 }
 
@@ -104,7 +104,7 @@ function draw(looks = LOOKS) {
     cursor: [state.cursorStiffness, state.cursorDamping],
     stiffest: now.stiffest, stiffestInWords: now.printed && stiffnessInWords(now.printed[0]),
   };
-  view.isMapNeeded = state.view === "near" && Boolean(plain && now.main.length && plain.stiffness > 1.5 * ends[0][1]);
+  view.isMapNeeded = state.view === "near" && Boolean(plain && now.stiffest && plain.stiffness > 1.5 * ends[0][1]);
   const frame = drawPlane(byId("picture"), view);
   drawn = { ...now, frame, walls };
   sayHeadline(now);

@@ -81,7 +81,7 @@ function unitOf(value, digits) {
   return 10 ** (Math.floor(Math.log10(Math.abs(value) || 1)) + 1 - digits);
 }
 
-/** The gains by which the stiffest wall (alpha, beta) is printed: of a stable one, as stable_pair of shown.py. */
+/** The gains by which the stiffest wall (alpha, beta) is printed: of a stable one, as stable_pair of shown.py; null where none is. */
 function printedWall(loop, scale, [alpha, beta]) {
   const limit = alpha * scale.stiffness, other = Math.abs(beta) > NOTHING * alpha ? beta * scale.damping : 0;
   for (const digits of [3, 5, 7, 9, MOST_DIGITS]) {
@@ -89,11 +89,12 @@ function printedWall(loop, scale, [alpha, beta]) {
       const first = rounded(limit - count * unitOf(limit, LIMIT_DIGITS), LIMIT_DIGITS, -1);
       for (const way of [0, -1, 1]) {
         const wall = [first, rounded(other, digits, way)];
-        if (isStable(loop, wall[0] / scale.stiffness, wall[1] / scale.damping)) return wall;
+        const { code } = verdictAndRadius(loop, wall[0] / scale.stiffness, wall[1] / scale.damping);
+        if (code === STABLE) return wall;
       }
     }
   }
-  return [limit, other];
+  return null;
 }
 
 /** The values of a quantity that can be computed: the least, the largest and, in words, both. */

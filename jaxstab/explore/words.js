@@ -35,8 +35,9 @@ function headlineOf(stiffest, region, isRough) {
     const [stiffness, damping] = stiffest.map(inDigits);
     return `The stiffest stable wall: ${stiffness} ${units().stiffness}, at a damping of ${damping} ${units().damping}.${open}`;
   }
-  if (isRough && !region.components.length) return "The stable region is not resolved yet.";
-  if (!region.isClosed && !region.components.length) return "The stable region was not resolved here; jaxstab limits knows more.";
+  if (mainOf(region) || (!region.isClosed && !region.components.length)) {
+    return isRough ? "The stable region is not resolved yet." : "The stable region was not resolved here; jaxstab limits knows more.";
+  }
   const none = region.components.length ? "Small gains are not stable, but others are." : "No wall is stable.";
   return `${none}${open}`;
 }
