@@ -350,3 +350,19 @@ def test_an_atlas_is_asked_about_a_wall_beside_those_of_a_scene(tmp_path: Path) 
     alone = run("atlas", "query", atlas, *wall)
     assert alone.exit_code == 2
     assert "give --scene FILE" in alone.stderr
+
+
+def test_a_stream_that_takes_nothing_is_no_answer() -> None:
+    no_file = ["limits", "none.toml"]
+    for words, where in (
+        (["limits", *LOOP], '"$@" | false'),
+        (["limits", *LOOP, "--json", "--all"], '"$@" | false'),
+        (no_file, '"$@" 2> /dev/full'),
+        (no_file, '"$@" 2> >(false)'),
+        (["limits", *LOOP, "--set", "wanted.tolerance=2"], '"$@" 2> /dev/full'),
+    ):
+        shell = ["bash", "-c", f"{where}; exit ${{PIPESTATUS[0]}}", "bash"]
+        done = subprocess.run(
+            [*shell, sys.executable, "-c", START, *words], capture_output=True, check=False
+        )
+        assert (done.returncode, done.stderr) == (2, b""), where

@@ -64,8 +64,9 @@ class OneSentence(click.Group):
             _say(_INTERRUPTED)
             atexit._run_exitfuncs()
             os._exit(130)  # threads of XLA that still compute crash a process that ends in order
-        except BrokenPipeError:  # the reader of our output has enough
-            sys.stderr.close()
+        except (_NoReader, BrokenPipeError):  # the reader of our output has enough
+            _drop(sys.stdout)
+            _drop(sys.stderr)
             sys.exit(2)
         except OSError as error:
             _fail(f"jaxstab: {sentence_of(error)}")
@@ -74,6 +75,13 @@ class OneSentence(click.Group):
         except Exception:  # noqa: BLE001  a fault of ours, which says nothing of a wall
             _fail(traceback.format_exc())
         sys.exit(code if isinstance(code, int) else 0)
+
+    def invoke(self, context: click.Context) -> Any:
+        """Run a command; see click.Group.invoke."""
+        try:
+            return super().invoke(context)
+        except BrokenPipeError as error:  # which click would end with 1
+            raise _NoReader from error
 
     def _missing(self, error: click.ClickException) -> str:
         """The names of the values of an option that has too few: click says how many it takes."""
@@ -85,6 +93,10 @@ class OneSentence(click.Group):
                 if error.option_name in option.opts and takes in error.message:
                     return f" They are {option.metavar}."
         return ""
+
+
+class _NoReader(Exception):
+    """Nobody reads what is printed any more."""
 
 
 def _open_what_is_closed() -> None:
@@ -106,13 +118,21 @@ def _fail(words: str, code: int = 2) -> NoReturn:
 
 def _say(words: str) -> None:
     """Print a sentence on stderr, in which nothing commands the terminal; flush stdout."""
-    click.echo(printable(words, "\n"), err=True)
+    try:
+        click.echo(printable(words, "\n"), err=True)
+    except OSError:
+        _drop(sys.stderr)
     try:
         sys.stdout.flush()
     except AttributeError:  # it is closed
         pass
-    except OSError:  # what could not be written is not tried again
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except OSError:
+        _drop(sys.stdout)
+
+
+def _drop(stream: Any) -> None:
+    """Give up what a stream could not write: trying again at the end would change the exit code."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 @click.group(cls=OneSentence)
