@@ -167,9 +167,10 @@ def is_memory_short() -> bool:
 
 def write_all(descriptor: int, data: bytes | memoryview) -> None:
     """Write all of the data, however little the system takes at once."""
-    remaining = memoryview(data)
-    while remaining:
-        remaining = remaining[os.write(descriptor, remaining) :]
+    with memoryview(data) as view:  # an error would keep it, and the data could not be closed
+        done = 0
+        while done < len(view):
+            done += os.write(descriptor, view[done:])
 
 
 class PatientStream(io.RawIOBase):

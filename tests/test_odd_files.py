@@ -1,5 +1,6 @@
 """Commands that meet odd files: monstrous input, outputs that are none, files of strangers."""
 
+import io
 import os
 import subprocess
 import sys
@@ -121,6 +122,14 @@ def test_a_file_is_written_behind_its_link_and_keeps_its_mode(tmp_path: Path) ->
     durable.publish(b"second", link)
     assert (target.read_bytes(), target.stat().st_mode & 0o777) == (b"second", 0o640)
     assert [entry.name for entry in target.parent.iterdir()] == ["file"]
+
+
+def test_what_a_full_disk_does_not_take_can_be_closed() -> None:
+    image, full = io.BytesIO(b"image"), os.open("/dev/full", os.O_WRONLY)
+    with pytest.raises(OSError, match="No space left") as _, image.getbuffer() as view:
+        durable.write_all(full, view)
+    os.close(full)
+    image.close()  # BufferError, which a command that ends prints, if a view of it is left
 
 
 def test_where_tiles_are_computed_is_checked_first(tmp_path: Path) -> None:
