@@ -27,7 +27,7 @@ from contourpy import contour_generator
 from jaxtyping import Bool, Complex128, Float64, Int8, Int64
 
 from jaxstab.arrays import Array, Numbers, is_traced, namespace
-from jaxstab.batches import lists
+from jaxstab.batches import lists, own_settings
 from jaxstab.conventions import AXES, Status
 from jaxstab.model import (
     Filter,
@@ -396,7 +396,7 @@ def _corrector() -> Callable[..., tuple[Array, Array, Array]]:
     program = jax.jit(jax.vmap(correct, in_axes=of_lane))
 
     def solved(*arguments: Any) -> tuple[Array, Array, Array]:
-        with jax.enable_x64(True):
+        with own_settings():
             answer: tuple[Array, Array, Array] = jax.device_get(program(*arguments))
         return answer
 

@@ -15,7 +15,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from calls import COMPUTING_CALLS, outcome
+from calls import COMPUTING_CALLS, as_text, outcome
 
 import jaxstab
 from jaxstab.batches import compiler_options
@@ -225,6 +225,31 @@ def test_no_more_programs_are_compiled_than_allowed(name: str) -> None:
     first, *others = programs()[name]
     assert first <= PROGRAMS[name][0]
     assert max(others) <= PROGRAMS[name][1]
+
+
+def test_settings_for_the_code_of_users_change_no_answer_for_numpy() -> None:
+    def answers() -> str:
+        grid = np.linspace(-0.1, 1.0, 200), np.linspace(-0.1, 1.0, 200)[:, None]
+        loop = {"gamma": 0.0, "delta": 0.015, "delay": 1.0}
+        window, fixed = ((0.0, 3.0), (0.0, 0.3)), {"beta": 0.2, "gamma": 0.0, "delta": 0.015}
+        return as_text(
+            [
+                jaxstab.verdict(*grid, **loop),
+                jaxstab.spectral_radius(*grid, **loop),
+                jaxstab.trace_boundary(("delay", "alpha"), window, **fixed),
+            ]
+        )
+
+    expected = answers()
+    with (
+        jax.enable_x64(False),
+        jax.debug_nans(True),
+        jax.debug_infs(True),
+        jax.numpy_dtype_promotion("strict"),
+        jax.numpy_rank_promotion("raise"),
+        jax.transfer_guard("disallow"),
+    ):
+        assert answers() == expected
 
 
 # ------------------------------------------------------------------------- the cache of programs
