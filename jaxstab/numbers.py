@@ -27,9 +27,11 @@ def require_x64(*values: Numbers) -> None:
 def require_together(**numbers: Numbers) -> tuple[int, ...]:
     """The shape to which numbers broadcast, by name; RuntimeError as ``require_x64``.
 
-    ValueError if they do not broadcast.
+    ValueError if they do not broadcast, TypeError for masked arrays.
     """
     require_x64(*numbers.values())
+    for name, value in numbers.items():
+        require_unmasked(name, value)
     try:
         shapes = {name: np.shape(value) for name, value in numbers.items()}
     except ValueError:
@@ -73,8 +75,7 @@ def checked(
 
 def real_numbers(name: str, value: Any) -> np.ndarray[Any, np.dtype[Any]]:
     """Return real numbers as NumPy has them, or raise TypeError; NaN is one of them."""
-    if isinstance(value, np.ma.MaskedArray):
-        raise TypeError(f"{name} is a masked array; give plain numbers.")
+    require_unmasked(name, value)
     try:
         numbers = np.asarray(value)
     except ValueError as error:  # rows of different lengths
@@ -82,6 +83,13 @@ def real_numbers(name: str, value: Any) -> np.ndarray[Any, np.dtype[Any]]:
     if numbers.dtype.kind not in "iuf":
         raise TypeError(f"{name} is {shortened(value)}; give real numbers.")
     return numbers
+
+
+def require_unmasked(name: str, value: Any) -> None:
+    """Refuse a masked array, or a list of them: others compute with what is masked."""
+    entries = value if isinstance(value, list | tuple) else [value]
+    if any(isinstance(entry, np.ma.MaskedArray) for entry in entries):
+        raise TypeError(f"{name} is a masked array; give plain numbers.")
 
 
 def _is_allowed(value: float, low: float, high: float, is_open: bool) -> bool:

@@ -10,6 +10,7 @@ import zipfile
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 from commands import START, assert_one_sentence, run, run_process
 
@@ -366,3 +367,22 @@ def test_a_stream_that_takes_nothing_is_no_answer() -> None:
             [*shell, sys.executable, "-c", START, *words], capture_output=True, check=False
         )
         assert (done.returncode, done.stderr) == (2, b""), where
+
+
+def test_a_masked_array_is_refused_wherever_numbers_are_given() -> None:
+    masked = np.ma.array([1.0, -2.0, 0.5], mask=[0, 1, 0])
+    plant = {"gamma": 0.0, "delta": 0.1, "delay": 0.0}
+    loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
+    frequency = np.linspace(1.0, 100.0, 20)
+    response = np.ma.array(-1.0 / frequency**2 + 0j, mask=frequency == 1.0)
+    for name, ask in (
+        ("coefficients", lambda: jaxstab.is_schur(masked)),
+        ("coefficients", lambda: jaxstab.radius([masked, masked])),
+        ("coefficients", lambda: jaxstab.companion_matrix(masked)),
+        ("alpha", lambda: jaxstab.verdict([masked, masked], 0.2, **plant)),
+        ("alpha", lambda: jaxstab.evaluate_grid(jaxstab.verdict, masked, 0.2, **plant)),
+        ("delay", lambda: jaxstab.limits_of(loop, delay=abs(masked))),
+        ("response", lambda: jaxstab.Device.from_response(frequency, response)),
+    ):
+        with pytest.raises(TypeError, match=f"{name} is a masked array; give plain numbers"):
+            ask()

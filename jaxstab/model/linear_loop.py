@@ -286,9 +286,8 @@ def companion_matrix(coefficients: Numbers) -> Float64[Array, "*grid degree degr
     """
     require_x64(coefficients)
     xp = namespace(coefficients)
-    if xp is np:
-        coefficients = real_numbers("coefficients", coefficients)
-    coefficients = xp.asarray(coefficients, xp.float64)
+    given = real_numbers("coefficients", coefficients) if xp is np else coefficients
+    coefficients = xp.asarray(given, xp.float64)
     degree = coefficients.shape[-1] - 1 if coefficients.ndim else 0
     if degree < 1:
         raise ValueError(

@@ -21,7 +21,7 @@ from jaxstab.model import (
 )
 from jaxstab.model.filters import Filter, Velocity
 from jaxstab.model.linear_loop import LinearLoop, loop_polynomial
-from jaxstab.numbers import checked_count, require_together
+from jaxstab.numbers import checked_count, real_numbers, require_together
 from jaxstab.rounding import SAFETY, UNIT
 
 # Broadcast grids of points in chunks of one shape, each point at the degree of p for its delay.
@@ -72,7 +72,8 @@ def evaluate_grid(
     """
     shape = require_together(alpha=alpha, beta=beta, gamma=gamma, delta=delta, delay=delay)
     checked_count("chunk", chunk, 1)
-    arguments = [np.asarray(value, np.float64) for value in (alpha, beta, gamma, delta, delay)]
+    given = by_name(alpha, beta, gamma, delta, delay)
+    arguments = [real_numbers(name, value).astype(np.float64) for name, value in given.items()]
     total = math.prod(shape)
 
     def evaluated_part(start: int) -> tuple[slice, Result]:

@@ -17,7 +17,7 @@ from jaxstab.conventions import Verdict
 from jaxstab.exact import spectral_radius
 from jaxstab.exact.verdict import affine_verdict
 from jaxstab.model.affine import GivenParts, affine_triple
-from jaxstab.numbers import require_x64
+from jaxstab.numbers import require_unmasked, require_x64
 from jaxstab.point.poles import companion_poles
 from jaxstab.point.radius import SpectralRadius, radius_error, with_status
 from jaxstab.point.schur_cohn import UNDERFLOW, Ends, polynomial_codes
@@ -94,6 +94,7 @@ def radius(coefficients: Numbers) -> SpectralRadius:
 
 def _checked(coefficients: Numbers) -> Float64[Array, "*grid coefficient"]:
     require_x64(coefficients)
+    require_unmasked("coefficients", coefficients)
     given = float_arrays(coefficients)[0] if is_any_jax(coefficients) else _floats(coefficients)
     if given.ndim == 0 or given.shape[-1] < 2:
         raise ValueError(

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxstab.model.device.parts import HIGHEST_ORDER, Part, Ports, exact, flint, polynomial
-from jaxstab.numbers import checked, checked_number
+from jaxstab.numbers import checked, checked_number, require_unmasked
 from jaxstab.tables import columns_of
 
 if TYPE_CHECKING:
@@ -268,6 +268,7 @@ def checked_response(frequency: Any, response: Any, error: Any) -> MeasuredRespo
         frequency, response, read = _columns(frequency)
         error = read if error is None else error
     frequencies = np.ravel(checked("frequency", frequency, 0.0, is_open=True, unit="Hz"))
+    require_unmasked("response", response)
     values = np.ravel(np.asarray(response, np.complex128))
     checked("response", np.stack([values.real, values.imag]))
     errors = np.ravel(checked("error", 0.0 if error is None else error, 0.0, 1.0))
