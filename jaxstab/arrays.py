@@ -63,6 +63,9 @@ class NamedCode(np.int8):
     def __format__(self, spec: str) -> str:
         return format(int(self), spec) if spec else str(self)
 
+    def __reduce__(self) -> Any:  # NumPy's own pickle is a number without the name
+        return named, (np.int8(self), self.kind)
+
 
 @cache
 def _named_code(kind: type[IntEnum]) -> type[NamedCode]:

@@ -1,5 +1,6 @@
 """What answers print and draw of themselves says no more than what was computed."""
 
+import pickle
 import re
 from base64 import b64decode
 from dataclasses import replace
@@ -272,6 +273,8 @@ def test_issue_31_22_the_code_of_one_wall_prints_its_name(
         assert verdict == expected
         assert jaxstab.Verdict(verdict) is expected
         assert (verdict.name, verdict.value, verdict.words) == (code, int(expected), code)
+        sent = pickle.loads(pickle.dumps(verdict))  # to another process, and back
+        assert (sent.name, repr(sent), sent == verdict) == (code, repr(verdict), True)
         assert {expected: True}[verdict]
         assert verdict.dtype == np.int8
         assert verdict.shape == ()
