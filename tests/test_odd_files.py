@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from atlases import write_small
-from commands import POINT, START, assert_one_sentence, run
+from commands import EXAMPLE, POINT, START, assert_one_sentence, run
 
 from jaxstab import AtlasSpec, Verdict, build_atlas, durable, open_atlas
 from jaxstab.scene import labelled
@@ -130,6 +130,18 @@ def test_what_a_full_disk_does_not_take_can_be_closed() -> None:
         durable.write_all(full, view)
     os.close(full)
     image.close()  # BufferError, which a command that ends prints, if a view of it is left
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are bytes on Linux alone")
+def test_a_csv_file_has_a_name_that_is_no_text(tmp_path: Path) -> None:
+    scene = os.fsencode(tmp_path) + b"/wall\xff.toml"
+    with open(scene, "w", encoding="utf-8") as file:
+        file.write(EXAMPLE)
+    words, table = ["limits", os.fsdecode(scene), "--csv"], tmp_path / "table.csv"
+    printed = subprocess.run([sys.executable, "-c", START, *words, "-"], stdout=subprocess.PIPE)
+    assert scene in printed.stdout
+    written = run(*words, table)
+    assert (written.exit_code, table.read_bytes()) == (printed.returncode, printed.stdout)
 
 
 def test_where_tiles_are_computed_is_checked_first(tmp_path: Path) -> None:

@@ -128,7 +128,8 @@ def print_with_csv(words: Any, rows: Iterable[Iterable[Any]], file: Path | None)
         if str(file) == "-":
             words = stream.getvalue().rstrip("\n")
         else:
-            write_beside(stream.getvalue().encode(), file)
+            # The name of a scene's file may be no UTF-8: its bytes are written, as stdout has them.
+            write_beside(stream.getvalue().encode(errors="surrogateescape"), file)
     click.echo(words)
 
 
