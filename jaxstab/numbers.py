@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxstab.arrays import Numbers, is_jax, is_traced
+from jaxstab.arrays import Array, Numbers, is_jax, is_traced
 from jaxstab.conventions import Range
 from jaxstab.shown import shortened
 
@@ -62,7 +62,7 @@ def checked(
     if type(value) is float and _is_allowed(value, low, high, is_open):  # most numbers, at once
         return np.array(value)
     if is_traced(value):
-        return value
+        return in_doubles(value)
     floats = real_numbers(name, value).astype(np.float64)
     too_low = floats <= low if is_open else floats < low
     wrong = too_low | (floats > high) | ~np.isfinite(floats)
@@ -70,7 +70,16 @@ def checked(
         culprit = float(floats[wrong].flat[0])
         allowed = _allowed(low, high, is_open, unit)
         raise ValueError(f"{name} is {culprit}; allowed are finite values{allowed}.")
-    return value if is_jax(value) else floats
+    return in_doubles(value) if is_jax(value) else floats
+
+
+def in_doubles(value: Array) -> Array:
+    """A JAX array or tracer in float64: what is computed in less is of another loop.
+
+    Numbers of Python, such as a sampling period, do not widen an array of JAX that they multiply.
+    """
+    is_number = value.dtype.kind not in "bc" and value.dtype != np.float64
+    return value.astype(float) if is_number else value  # in float32 still, where x64 is off
 
 
 def real_numbers(name: str, value: Any) -> np.ndarray[Any, np.dtype[Any]]:

@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from march import (
@@ -423,3 +424,30 @@ def test_functions_of_five_numbers_name_the_method() -> None:
 def test_a_tolerance_that_no_outline_keeps_is_refused(tolerance: float) -> None:
     with pytest.raises(ValueError, match=f"tolerance is {tolerance}; allowed are finite values"):
         WINDOW.region(tolerance=tolerance)
+
+
+def test_float32_of_jax_is_computed_in_float64() -> None:
+    """Formed in float32, K T^2/m is that of another wall, and its proof that of another loop."""
+    mass, damping = np.float32(0.3), np.float32(20.0)
+
+    def of(number: Any) -> HapticLoop:
+        return HapticLoop(device_mass=number, device_damping=0.1, sample_time=1e-3, delay=1e-3)
+
+    plain = of(float(mass))
+    limit = np.float32(plain.stiffness_limits(float(damping))[1])
+    stiffness = limit * (1.0 + np.arange(-8.0, 9.0) * 6e-8).astype(np.float32)
+    walls = stiffness.astype(np.float64), float(damping)
+    expected, radius = plain.verdict(*walls), plain.spectral_radius(*walls)
+    assert {int(code) for code in expected} == {Verdict.STABLE, Verdict.UNSTABLE}
+    given = jnp.asarray(mass), jnp.asarray(stiffness), jnp.asarray(damping)
+    for ask in (lambda f: f(*given), lambda f: jax.jit(f)(*given)):
+        codes = ask(lambda m, K, B: of(m).verdict(K, B))
+        assert not np.any((codes != expected) & (codes != Verdict.UNDECIDED))
+        found = ask(lambda m, K, B: of(m).spectral_radius(K, B))
+        assert np.all(abs(found.value - radius.value) <= found.error + radius.error)
+        limits = ask(lambda m, K, B: of(m).limits().stiffness)
+        np.testing.assert_allclose(limits, plain.limits().stiffness, rtol=1e-14)
+    response = of(given[0]).simulate(given[1], given[2], force=1.0).position
+    np.testing.assert_allclose(
+        response, plain.simulate(*walls, force=1.0).position, rtol=0, atol=1e-12
+    )

@@ -25,7 +25,13 @@ from jaxstab.model.device.sampling import gain_units
 from jaxstab.model.filters import Average, Filter, Velocity, filter_on, given_filters, known_filters
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.model.parameters import LONGEST_DELAY, TracedDelay, by_name
-from jaxstab.numbers import checked, checked_number, require_together, require_x64
+from jaxstab.numbers import (
+    checked,
+    checked_number,
+    in_doubles,
+    require_together,
+    require_x64,
+)
 from jaxstab.shown import call_text
 
 _LEAST = {  # the least allowed value, and whether it is excluded
@@ -79,6 +85,8 @@ class LoopParameters:
             if not (value is None or is_traced(value)):
                 number = checker(name, value, least, is_open=is_open)
                 object.__setattr__(self, name, value if is_jax(value) else number)
+            if is_jax(value):
+                object.__setattr__(self, name, in_doubles(value))
         is_one = not self.shape  # which refuses arrays that do not broadcast
         if not is_any_traced(self.delay, self.sample_time):
             samples = self.delay_samples
