@@ -21,7 +21,16 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 import numpy as np
 from jaxtyping import Int64
 
-from jaxstab.arrays import Array, constant, is_jax, is_traced, leaves, namespace, tree_map
+from jaxstab.arrays import (
+    Array,
+    constant,
+    is_any_traced,
+    is_jax,
+    is_traced,
+    leaves,
+    namespace,
+    tree_map,
+)
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -410,6 +419,8 @@ def on_host(
     arrays = constant(arrays) if is_count else arrays
     if xp is np:
         return function(*arrays)
+    if not is_any_traced(arrays):  # JAX calls back for no array that lies on several devices
+        return tree_map(xp.asarray, function(*map(np.asarray, arrays)))
     import jax
 
     shapes = tree_map(lambda dtype: jax.ShapeDtypeStruct(shape, dtype), like)

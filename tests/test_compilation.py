@@ -252,6 +252,36 @@ def test_settings_for_the_code_of_users_change_no_answer_for_numpy() -> None:
         assert answers() == expected
 
 
+ON_TWO_DEVICES = """
+import jax, json
+import numpy as np
+import jaxstab
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+stiffness = np.linspace(100.0, 1000.0, 4)
+mesh = Mesh(np.array(jax.devices()), ("walls",))
+sharded = jax.device_put(stiffness, NamedSharding(mesh, PartitionSpec("walls")))
+assert len(sharded.devices()) == 2
+answers = [
+    [
+        loop.settling_time(walls, 10.0).value,
+        loop.amplitude(walls, 10.0, encoder=1e-5).position,
+        loop.damping_limits(walls),
+        loop.margins(walls, 10.0).stiffness_gain,
+    ]
+    for walls in (stiffness, sharded)
+]
+print(json.dumps([np.allclose(*pair, rtol=1e-12, atol=0.0) for pair in zip(*answers)]))
+"""
+
+
+def test_arrays_on_several_devices_are_answered_as_those_of_numpy() -> None:
+    devices = "--xla_force_host_platform_device_count=2"
+    found = printed_by(ON_TWO_DEVICES, JAX_ENABLE_X64="1", XLA_FLAGS=devices)
+    assert found == [True] * 4
+
+
 # ------------------------------------------------------------------------- the cache of programs
 
 COMPILED_WITH = """
