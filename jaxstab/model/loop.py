@@ -285,7 +285,7 @@ class LoopParameters:
         loop = object.__new__(cls)
         names = (*_LEAST, "velocity", "position", "_whole_delay", "device")
         for name, value in zip(names, (*parts, *fixed), strict=True):
-            object.__setattr__(loop, name, value)
+            object.__setattr__(loop, name, in_doubles(value) if is_jax(value) else value)
         return loop
 
     @property
