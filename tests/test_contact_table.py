@@ -106,7 +106,3 @@ def test_the_command_stores_a_map_in_the_units_of_its_scene(tmp_path: Path) -> N
         refused = run(*words, *more)
         assert (refused.exit_code, refused.stdout) == (2, "")
         assert said in refused.stderr
-    for option in (("--frictions", "0:1:2"), ("--workers", "2")):
-        refused = run("contact", scene, *option)
-        assert (refused.exit_code, refused.stdout) == (2, "")
-        assert f"{option[0]} is given without --output; it is for a map." in refused.stderr

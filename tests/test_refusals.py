@@ -369,6 +369,14 @@ def test_a_stream_that_takes_nothing_is_no_answer() -> None:
         assert (done.returncode, done.stderr) == (2, b""), where
 
 
+@pytest.mark.parametrize("option", [["--workers", "2"], ["--count", "9"], ["--scheduler", "a"]])
+def test_an_option_of_a_map_of_contacts_is_refused_without_one(option: list[str]) -> None:
+    answer = run("contact", *LOOP, "--push", "1", *option)
+    assert (answer.exit_code, answer.stdout) == (2, "")
+    assert_one_sentence(answer.stderr)
+    assert f"{option[0]} is for a map; give --output, too." in answer.stderr
+
+
 def test_a_masked_array_is_refused_wherever_numbers_are_given() -> None:
     masked = np.ma.array([1.0, -2.0, 0.5], mask=[0, 1, 0])
     plant = {"gamma": 0.0, "delta": 0.1, "delay": 0.0}

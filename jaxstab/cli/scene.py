@@ -453,11 +453,11 @@ def check(as_json: bool, in_full: bool, certificate: Path | None, **given: Any) 
     check=file_in(".h5", ".nc"),
     help="Simulate a map of walls around the stable ones into this netCDF-4 file instead.",
 )
-@click.option("--count", type=click.IntRange(2), default=60, help="Walls along each axis of it.")
+@click.option("--count", type=click.IntRange(2), help="Walls along each axis of it; default: 60.")
 @click.option("--frictions", help="LOW:HIGH:COUNT in N: its third axis.")
 @executor_options
 def contact(
-    as_json: bool, output: Path | None, count: int, frictions: str | None, **given: Any
+    as_json: bool, output: Path | None, count: int | None, frictions: str | None, **given: Any
 ) -> int:
     """Simulate how the device of a scene meets each wall: does it rest, bounce or buzz?
 
@@ -465,11 +465,11 @@ def contact(
     Nothing is proved. The exit code is 0 if every simulated contact comes to rest, 1 if not.
     """
     if output is None:
-        of_a_map = {"frictions": frictions} | given
-        for name in ("frictions", "workers", "scheduler", "scheduler_file"):
-            if of_a_map.pop(name):
+        computed_by = {name: given[name] for name in ("workers", "scheduler", "scheduler_file")}
+        for name, value in {"count": count, "frictions": frictions, **computed_by}.items():
+            if value is not None:
                 option = name.replace("_", "-")
-                raise click.UsageError(f"--{option} is given without --output; it is for a map.")
+                raise click.UsageError(f"--{option} is for a map; give --output, too.")
         return _answer(given, "contact", as_json)
     if len(given["files"]) > 1:
         raise click.UsageError("a map is for one scene; give one FILE.")
@@ -487,7 +487,7 @@ def contact(
     scene = scene_of(given)
     warn(*scene.unusual(), *delay_notes(scene))
     forces = None if frictions is None else [*map(float, listed("friction", frictions))]
-    planned = map_contacts(scene, count, forces)
+    planned = map_contacts(scene, count or 60, forces)
     assert scene.contact is not None  # there is a map
     axes = " x ".join(f"{length} {name}" for name, length in planned.sizes.items())
     words = f"{planned.kind.size:,} contacts of {scene.contact.duration:g} s"
