@@ -12,7 +12,7 @@ from benchmarks.loops import probes
 from benchmarks.truth import filtered
 from benchmarks.truth.balls import BallLoop
 from benchmarks.truth.filtered import FilteredLoop, average, difference
-from benchmarks.truth.random_loops import DeviceLoop, MassLoop
+from benchmarks.truth.random_loops import DeviceLoop, MassLoop, long_window
 from jaxstab.conventions import Verdict
 from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.exact.line import stable_line
@@ -61,6 +61,24 @@ def test_walls_of_the_curve_have_roots_at_its_angles(number: int) -> None:
     size = np.max(np.abs(true), axis=0)
     assert np.max(np.abs(curve_gains(c, ANGLES) - true) / size) < 1e-11
     assert curve_gains(c, -ANGLES).tolist() == curve_gains(c, ANGLES).tolist()
+
+
+def test_no_product_of_a_curve_is_so_large_that_blas_starts_threads(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    multiplications, product = [], np.matmul
+
+    def spied(rows: np.ndarray, columns: np.ndarray, out: np.ndarray) -> np.ndarray:
+        multiplications.append(rows.size * columns.shape[1])
+        return product(rows, columns, out=out)
+
+    loop = long_window(np.random.default_rng(5))
+    c, angles = curve_of(ScaledLoop(loop.loop, (1.0, 1.0))), np.linspace(0.01, 3.0, 4001)
+    monkeypatch.setattr(np, "matmul", spied)
+    gains = curve_gains(c, angles)
+    assert max(multiplications, default=np.inf) <= 2**18
+    true = walls(loop.balls, angles[::400])
+    assert np.max(np.abs(gains[:, ::400] - true) / np.max(np.abs(true), axis=0)) < 1e-9
 
 
 @pytest.mark.parametrize("number", [*LOOPS[:4], *SLOW])

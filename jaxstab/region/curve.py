@@ -386,8 +386,18 @@ def _values(c: Curve, theta: Array, low: Array | float, orders: int) -> Array:
 
 
 def _product(rows: Array, columns: Complex128[np.ndarray, "power angle"]) -> Array:
-    """Return a real matrix times a complex one; NumPy would make the first complex, too."""
-    return (rows @ columns.view(float)).view(complex)
+    """Return a real matrix times a complex one; NumPy would make the first complex, too.
+
+    It is formed in blocks: a larger product is divided among threads by BLAS, which wait for each
+    other up to a hundred times as long as they compute where processors are busy.
+    """
+    one_thread, even = 2**18, 64  # multiplications, up to which OpenBLAS takes one; columns
+    parts, block = columns.view(float), max(one_thread // (rows.size * even), 1) * even
+    product = np.empty((len(rows), parts.shape[1]))
+    for start in range(0, parts.shape[1], block):
+        held = slice(start, start + block)
+        np.matmul(rows, parts[:, held], out=product[:, held])
+    return product.view(complex)
 
 
 def _powers(base: Array, count: int) -> Complex128[np.ndarray, "power angle"]:
