@@ -19,6 +19,8 @@ from commands import run
 from problems import LEAST_INERTIAS
 
 import jaxstab
+from jaxstab.conventions import Verdict
+from jaxstab.loop import backwards
 from jaxstab.results import StableValues
 
 JOINT = jaxstab.HapticLoop(device_mass=1.0, device_damping=0.0, sample_time=2e-3, delay=2e-3)
@@ -277,6 +279,31 @@ def test_a_damper_alone_leaves_the_position_where_it_is() -> None:
     """K = 0: beta < 2 without a delay and a damper of its own, so that m > B T/2."""
     loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=0.0, sample_time=1e-3)
     assert loop.range_of("device_mass", 0.0, 10.0).least == pytest.approx(5e-3, rel=1e-9)
+
+
+def test_hands_that_join_leave_the_verdicts_on_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hands between the corners refute ends; nothing is asked twice, and the ends are theirs."""
+    asked, verdict = [], backwards.wall_verdict
+
+    def spied(triple: Any, *wall: float, may_drift: bool) -> Any:
+        asked.append(triple.args[0])
+        return verdict(triple, *wall, may_drift=may_drift)
+
+    monkeypatch.setattr(backwards, "wall_verdict", spied)
+    mode = jaxstab.Mode(frequency=80.0, damping_ratio=0.02, modal_mass=0.1)
+    device = jaxstab.Device.modes([mode], mass=0.2, damping=0.5)
+    loop = jaxstab.HapticLoop(device=device, sample_time=1e-3, delay=1e-3, velocity=OMEGA.velocity)
+    hands = jaxstab.HandRange(mass=(0.0, 0.5), damping=(0.0, 5.0), stiffness=(0.0, 300.0))
+    wall = 600.0, 8.0
+    found = loop.range_of("delay", *wall, hands=hands, between=(3.8e-3, 4.2e-3), count=4)
+    tried = {each.device for each in asked}
+    assert len(tried) > 8  # corners
+    assert len(asked) == len(set(asked))
+    end = found.intervals[0][0]
+    codes = [
+        {replace(loop, device=own, delay=delay).verdict(*wall) for own in tried} for delay in end
+    ]
+    assert codes == [{Verdict.STABLE}, {Verdict.STABLE, Verdict.UNSTABLE}]
 
 
 def test_ends_are_proved_for_all_hands_and_unstable_with_one() -> None:

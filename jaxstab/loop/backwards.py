@@ -235,10 +235,19 @@ def range_of(
     tried = (5000 if at_once else 500) if count is None else checked_count("count", count, 2)
     scan = _scan(loop, quantity, wall, tried).within(between, tried)
 
+    @cache  # a hand that joins leaves the verdicts on the others
+    def verdict(each: Any, value: float) -> Verdict:
+        return wall_verdict(partial(ball_triple, change(each, value)), *wall, may_drift=True)[0]
+
     def judge(value: float) -> Verdict:
-        triples = (partial(ball_triple, change(each, value)) for each in loops)
-        codes = (wall_verdict(triple, *wall, may_drift=True).verdict for triple in triples)
-        return next((code for code in codes if code != Verdict.STABLE), Verdict.STABLE)
+        codes = []
+        for each in [*loops]:
+            codes.append(verdict(each, value))
+            if codes[-1] == Verdict.UNSTABLE:
+                loops.remove(each)
+                loops.insert(0, each)  # it mostly refutes the next value as well
+                return Verdict.UNSTABLE
+        return max(codes)
 
     def worst(value: float) -> Any:
         return replace(every, loop=change(loop, value)).worst(*wall)
