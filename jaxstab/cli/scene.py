@@ -324,7 +324,8 @@ def _computed(scene: Any, name: str, options: dict[str, Any]) -> Any:
     import jaxstab.scene
 
     if not isinstance(scene, jaxstab.scene.Scene):
-        return scene.answer(name)
+        with at_work(f"{name} of a loop"):
+            return scene.answer(name)
     every = ", proved for every sequence of delays" if scene.controller.moves else ""
     functions = {
         "limits": "scene_limits",
@@ -745,7 +746,7 @@ def identify(
     names = {name: given[name] or name for name in used}
     optional = [] if is_servo or given["velocity"] else [names["velocity"]]
     columns = fits.read_log(str(log), names, sample_time, optional)
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), at_work(f"fitting {log}"):
         warnings.simplefilter("ignore", UserWarning)  # the scene's are printed
         if is_servo:
             window = None if window_samples is None else Velocity.difference(window_samples)
@@ -804,7 +805,8 @@ def joints(
     require_one_stdout(as_json, csv_file)
     velocity = None if cutoff is None else jaxstab.Velocity.low_pass(cutoff)
     own = None if gains is None else read_gains(gains)
-    answer = jaxstab.joints(robot, gains=own, velocity=velocity, **asked)
+    with at_work(f"joints of {robot}"):
+        answer = jaxstab.joints(robot, gains=own, velocity=velocity, **asked)
     if safe_gains:
         write_beside(answer.as_yaml().encode(), safe_gains)
     words = json.dumps(answer.as_json(), indent=1) if as_json else str(answer)
