@@ -9,6 +9,7 @@ from descents import radii
 from benchmarks.truth import devices, filtered
 from benchmarks.truth.random_loops import device_of
 from jaxstab import Device, HapticLoop, Velocity
+from jaxstab.loop import tune
 from jaxstab.results import TuningStatus
 
 PERIOD = 1e-3
@@ -91,6 +92,21 @@ def test_no_wall_of_the_region_settles_much_faster(case: str, excitation: Any) -
     others = np.asarray(loop.settling_time(*walls.T, excitation=excitation).value)
     decays = np.asarray(loop.spectral_radius(*walls.T).value) < 1.0 - (1.0 - best.radius) / 16.0
     assert np.nanmin(others[decays]) >= best.settling_time
+
+
+def test_both_goals_share_the_search_for_the_smallest_radius(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked, search = [], tune.smallest_radius
+    monkeypatch.setattr(
+        tune, "smallest_radius", lambda *given: asked.append(given[1]) or search(*given)
+    )
+    loop = HapticLoop(device_mass=0.251, device_damping=0.1, sample_time=PERIOD, velocity=WINDOW)
+    settling, radius = loop.tune("settling"), loop.tune("radius")
+    damped = loop.tune("radius", stiffness=radius.stiffness)
+    assert settling.settling_time < radius.settling_time
+    assert radius.radius <= min(settling.radius, damped.radius) * (1.0 + 1e-9)
+    assert asked == [None, loop.alpha(radius.stiffness)]
 
 
 @pytest.mark.campaign

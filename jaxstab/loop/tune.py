@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from decimal import ROUND_CEILING
+from functools import lru_cache
 from math import isnan
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -17,7 +18,7 @@ from jaxstab.motion.settling import checked_level, likely_settling
 from jaxstab.numbers import checked_number, checked_word
 from jaxstab.shown import exact_text, number_text, text_with_bound
 from jaxstab.tuning import TuningStatus
-from jaxstab.tuning.radius import Axis, Values, minimised, smallest_radius, walls_of
+from jaxstab.tuning.radius import Axis, Best, Values, minimised, smallest_radius, walls_of
 from jaxstab.tuning.settling import TunedLoop, shortest_settling
 
 if TYPE_CHECKING:  # alone: other loops are refused by sentences, not by the types
@@ -119,8 +120,7 @@ def optimal_wall(
     level = checked_level(level, excitation)
     alpha = None if stiffness is None else loop.alpha(checked_number("stiffness", stiffness, 0.0))
     plain = loop.in_floats()
-    tuned = TunedLoop(plain, walls_of(plain)._replace(lowest=0.0))
-    best = smallest_radius(tuned.walls, alpha)
+    tuned, best = _of_smallest_radius(plain, alpha)
     wall, status = best.wall, best.status
     if goal == "settling":
         settled = shortest_settling(tuned, best, alpha, level, excitation)
@@ -154,6 +154,16 @@ def optimal_wall(
         found = loop.settling_time(*gains, level=level, excitation=excitation)
         settling = float(found.value)
     return OptimalWall(*gains, float(radius.value), float(radius.error), settling, status, reached)
+
+
+@lru_cache(maxsize=16)
+def _of_smallest_radius(plain: Any, alpha: float | None) -> tuple[TunedLoop, Best]:
+    """A loop and its wall of the smallest radius, where the search for fast settling begins, too.
+
+    The most recent ones are remembered: scenes are tuned for both goals.
+    """
+    tuned = TunedLoop(plain, walls_of(plain)._replace(lowest=0.0))
+    return tuned, smallest_radius(tuned.walls, alpha)
 
 
 def checked_chatter(encoder: float | None, limit: float | None) -> Chatter | None:
