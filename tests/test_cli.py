@@ -265,6 +265,22 @@ _WRITES = {
 }
 
 
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="it counts threads of Linux")
+@pytest.mark.parametrize(("given", "count"), [(None, 1), ("3", 3)])
+def test_a_command_computes_in_one_thread_unless_it_is_told_otherwise(
+    given: str | None, count: int
+) -> None:
+    code = (
+        "import os; from jaxstab.cli.main import main; main(['limits', 'data/scenes/omega.toml'], "
+        "standalone_mode=False); print(len(os.listdir('/proc/self/task')), 'threads')"
+    )
+    own = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    own |= {"OPENBLAS_NUM_THREADS": given} if given else {}
+    process = [sys.executable, "-c", code]
+    done = subprocess.run(process, env=own, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == f"{min(count, os.cpu_count() or 1)} threads"
+
+
 @pytest.mark.parametrize("name", _WRITES)
 def test_a_command_never_replaces_what_it_reads(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

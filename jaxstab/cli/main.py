@@ -16,6 +16,10 @@ from typing import Any, NoReturn
 
 import click
 
+# Before NumPy is imported: matrices are small, and where processors are busy threads that share
+# them wait for each other ten times as long as one thread takes. Who sets it has it.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import jaxstab
 from jaxstab.cli.interrupt import prompt_interrupts
 from jaxstab.cli.plane import build, figure, info, plot, query, region, spec, verify
