@@ -1,6 +1,7 @@
 """Devices in z: against truths of 40 digits, recursions, and devices in s that scipy samples."""
 
 from collections.abc import Callable
+from fractions import Fraction
 from typing import Any
 
 import control
@@ -12,6 +13,7 @@ from campaign import many
 
 import jaxstab
 from jaxstab import Device, Filter, HandRange, HapticLoop, Velocity, Verdict
+from jaxstab.model.device.discrete import sampled_steps
 
 HELD = Device.mass_spring_damper(mass=0.25, damping=0.1)
 JOINT = Device.simulated(0.1, step=2e-3)
@@ -370,3 +372,31 @@ REFUSALS: list[tuple[Callable[[], object], str]] = [
 def test_54_bad_input_is_refused_in_a_sentence(call: Callable[[], object], words: str) -> None:
     with pytest.raises((TypeError, ValueError), match=words):
         call()
+
+
+@pytest.mark.parametrize(("count", "late"), [(1, 0), (7, 0), (50, 13), (4, 22)])
+def test_many_steps_a_sample_are_those_of_fractions(count: int, late: int) -> None:
+    """D(z) and N(z) of two states, from the steps one after the other, without rounding."""
+    joint = Device.simulated(0.1, step=2e-3, damping=0.03, stiffness=0.7, integrator="rk4")
+    move, push, _ = joint.mechanism.one_step()
+    f, g = ([Fraction(int(x.p), int(x.q)) for x in side.entries()] for side in (move, push))
+
+    def held(steps: int, state: tuple[Fraction, ...], force: int) -> tuple[Fraction, ...]:
+        for _ in range(steps):
+            x, v = state
+            state = (f[0] * x + f[1] * v + g[0] * force, f[2] * x + f[3] * v + g[1] * force)
+        return state
+
+    rest, one = (Fraction(0), Fraction(0)), Fraction(1)
+    (a, c), (b, d) = (held(count, own, 0) for own in ((one, rest[1]), (rest[0], one)))
+    samples, part = divmod(late, count)
+    newer = held(count - part, rest, 1)
+    older = held(count - part, held(part, rest, 1), 0)
+    position = [(x, b * v - d * x) for x, v in (newer, older)]  # of adj(z - F^n)
+    numerator = [position[0][1], position[0][0]]  # rising powers of z
+    if part:
+        numerator = [position[1][1], position[0][1] + position[1][0], position[0][0]]
+    below, above, lag = sampled_steps(joint.mechanism, count, late)
+    assert lag == samples + (part > 0)
+    for found, true in ((below, [a * d - b * c, -a - d, Fraction(1)]), (above[0], numerator)):
+        assert [Fraction(int(x.p), int(x.q)) for x in found.coeffs()] == true

@@ -28,7 +28,7 @@ from jaxstab.numbers import checked, checked_number, require_unmasked
 from jaxstab.tables import columns_of
 
 if TYPE_CHECKING:
-    from flint import fmpq, fmpq_mat, fmpq_poly
+    from flint import fmpq, fmpq_mat, fmpq_poly, fmpz, fmpz_mat
 
 INTEGRATORS = ("explicit", "semi-implicit", "implicit-joint", "implicit-damping", "implicit", "rk4")
 
@@ -97,19 +97,32 @@ def sampled_steps(device: InSteps, count: int, delay: int) -> Sampled:
     whole, late = divmod(delay, count)
     last = [0] * move.nrows() + [1]  # [[F, G], [0, 1]]^j is [[F^j, Gamma_j], [0, 1]]
     rows = [row + column for row, column in zip(move.tolist(), push.tolist(), strict=True)]
-    powers = [(flint.fmpq_mat([*rows, last]) ** j).tolist()[:-1] for j in (count, count - late)]
-    everything, newest = (flint.fmpq_mat([row[-1:] for row in power]) for power in powers)
-    onward = flint.fmpq_mat([row[:-1] for row in powers[0]])
-    below, numerators = onward.charpoly(), []
+    # Over one denominator: of fractions each sum would look for a common divisor.
+    held, unit = flint.fmpq_mat([*rows, last]).numer_denom()
+    early = held ** (count - late)
+    powers = [power.tolist()[:-1] for power in (early * held**late, early)]
+    everything, newest = (flint.fmpz_mat([row[-1:] for row in power]) for power in powers)
+    newest, over = newest * unit**late, unit**count
+    onward = flint.fmpz_mat([row[:-1] for row in powers[0]])
+    below, numerators = _characteristic(onward, over), []
     for row, direct in outputs:
+        seen, share = row.numer_denom()
         newer, older = (
-            (onward - column * row).charpoly() - below for column in (newest, everything - newest)
+            _characteristic(onward * share - column * seen, over * share) - below
+            for column in (newest, everything - newest)
         )
         moved = newer * flint.fmpq_poly([0, 1]) + older if late else newer
         numerators.append(moved + direct * below)
     if not all(numerators):
         raise ValueError(f"the device ({device}) does not move at samples; give a force that acts.")
     return below, numerators, whole + (late > 0)
+
+
+def _characteristic(whole: "fmpz_mat", over: "fmpz") -> "fmpq_poly":
+    """The characteristic polynomial of a matrix of whole numbers over one number."""
+    rising = whole.charpoly().coeffs()
+    own = [c * over**power for power, c in enumerate(rising)]
+    return flint.fmpq_poly(own, over ** (len(rising) - 1))
 
 
 @lru_cache(maxsize=64)
