@@ -107,6 +107,10 @@ class HapticLoop(LoopParameters, TwoGains):
     def region(self, *, tolerance: float = TOLERANCE) -> WallRegion:
         """The set of all stable walls, in its connected parts.
 
+        It takes some hundredths of a second, with a window of more than 100 samples half a second,
+        and minutes where float64 does not resolve it: such a window and a device that swings at
+        half of the sampling rate.
+
         Args:
             tolerance: largest distance between the outline and the boundary, as a share of the
                 region's diameter, > 1e-10. Everything else is measured on the exact boundary.
@@ -258,7 +262,9 @@ class HapticLoop(LoopParameters, TwoGains):
     ) -> "StableValues":
         """The values of one quantity with which a wall is stable, such as the least mass.
 
-        Each end is proved from both sides; that there is no other interval is a scan.
+        Each end is proved from both sides; that there is no other interval is a scan. It takes a
+        second or two of CPU time, with ``hands`` ten and more: of a device with modes, or with
+        delays of many samples.
 
         Args:
             quantity: a field of the loop that is a number, or "cutoff" in Hz or "window" in samples
@@ -326,7 +332,8 @@ class HapticLoop(LoopParameters, TwoGains):
         pole the radius grows with the cube root of a change, so gains of six digits may miss the
         smallest radius by 0.01. With an estimator, a filter or a device that is not one mass, the
         search covers the stable component that contains small gains; where small gains are not
-        stable, it covers an island, and the status says so. With such a device, a wall that keeps
+        stable, it covers an island, and the status says so. It takes seconds of CPU time, with
+        windows or delays of 100 samples some thirty. With such a device, a wall that keeps
         ringing within the band and decays sixteen times more slowly than the wall of the smallest
         radius does not count as settled.
 
@@ -785,9 +792,11 @@ class HapticLoop(LoopParameters, TwoGains):
         """Simulate a contact as it is felt: a one-sided wall, friction, encoder, saturation.
 
         The motion between samples is exact, friction included. The answer is simulated, not proved:
-        it is that of this start and this duration. Before time 0 the device was at rest where it
-        starts, and no force was on its way. Paths are stored; ``jaxstab.contact_map`` simulates
-        many walls without them. The numbers may be arrays that broadcast.
+        it is that of this start and this duration. Every turn of the motion is followed: behind a
+        grip of 1e9 N/m, that swings many times in a sample, a second takes 12 s of CPU time. Before
+        time 0 the device was at rest where it starts, and no force was on its way. Paths are
+        stored; ``jaxstab.contact_map`` simulates many walls without them. The numbers may be arrays
+        that broadcast.
 
         Args:
             stiffness, damping: see ``jaxstab.conventions``.
