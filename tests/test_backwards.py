@@ -21,7 +21,7 @@ from problems import LEAST_INERTIAS
 import jaxstab
 from jaxstab.conventions import Verdict
 from jaxstab.loop import backwards
-from jaxstab.results import StableValues
+from jaxstab.results import StableEnd, StableValues, WorstHand
 
 JOINT = jaxstab.HapticLoop(device_mass=1.0, device_damping=0.0, sample_time=2e-3, delay=2e-3)
 OMEGA = jaxstab.HapticLoop(
@@ -304,6 +304,24 @@ def test_hands_that_join_leave_the_verdicts_on_the_others(monkeypatch: pytest.Mo
         {replace(loop, device=own, delay=delay).verdict(*wall) for own in tried} for delay in end
     ]
     assert codes == [{Verdict.STABLE}, {Verdict.STABLE, Verdict.UNSTABLE}]
+
+
+@pytest.mark.parametrize("proved", [(1.0, 1.03), (1.005, 1.015), (1.1, 1.2)])
+def test_ends_that_are_looked_for_inwards_stay_in_order(proved: tuple[float, float]) -> None:
+    """An interval of 3 %, of which all hands have all, a part, or nothing that is proved."""
+    low, high = StableEnd(1.0, 0.999), StableEnd(1.03, 1.031)
+    found = StableValues("delay", "s", ((low, high),), (0.5, 2.0), 500, is_complete=False)
+
+    def worst(value: float) -> WorstHand:
+        is_known = proved[0] <= value <= proved[1]
+        return WorstHand(Verdict.STABLE if is_known else Verdict.UNDECIDED, OMEGA, 0.9)
+
+    answer, refuting = backwards._for_all(found, worst)
+    ((begin, end),) = answer.intervals
+    assert low.stable <= begin.stable <= end.stable <= high.stable
+    known = all(proved[0] <= value.stable <= proved[1] for value in (begin, end))
+    assert (answer.is_proved, refuting) == (known, [])
+    assert answer.is_proved == (proved[0] < 1.03)
 
 
 def test_ends_are_proved_for_all_hands_and_unstable_with_one() -> None:

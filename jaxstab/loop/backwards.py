@@ -269,11 +269,11 @@ def _for_all(found: StableValues, worst: Callable[[float], Any]) -> tuple[Stable
     shares = (0.0,) if found.is_complete else (0.0, 1e-6, 1e-4, 1e-2, 0.05)  # of an end, inwards
     intervals, is_proved = [], True
     for low, high in found.intervals:
-        ends = []
+        ends = list[StableEnd]()
         for own, way in ((low, 1.0), (high, -1.0)):
             for share in shares:
                 value = own.stable * (1.0 + way * share)
-                value = min(max(value, low.stable), high.stable)
+                value = min(max(value, (ends or [low])[0].stable), high.stable)
                 hand = worst(value)
                 if hand.verdict == Verdict.UNSTABLE:
                     return found._replace(is_proved=False), [hand.loop]

@@ -263,8 +263,8 @@ class HapticLoop(LoopParameters, TwoGains):
         """The values of one quantity with which a wall is stable, such as the least mass.
 
         Each end is proved from both sides; that there is no other interval is a scan. It takes a
-        second or two of CPU time, with ``hands`` ten and more: of a device with modes, or with
-        delays of many samples.
+        second or two of CPU time, with ``hands`` ten and more, and minutes where many ends of a
+        device with modes are not proved.
 
         Args:
             quantity: a field of the loop that is a number, or "cutoff" in Hz or "window" in samples
