@@ -48,7 +48,7 @@ _LOOP_CODE = (
     "loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3, "
     "hand_mass=0.15, hand_damping=5.0, hand_stiffness=400.0, delay=1e-3)\n"
 )
-_COMMAND = "import sys; from jaxstab.cli.main import main; main()"
+_COMMAND = "from jaxstab.__main__ import main; main()"
 _WALL = f"{ALPHA * MASS / SAMPLE_TIME**2!r}, {BETA * MASS / SAMPLE_TIME!r}"
 
 

@@ -11,7 +11,7 @@ from jaxstab.cli.main import main
 
 POINT = ["--alpha", "0.1", "--beta", "0.5", "--gamma", "0.0005", "--delta", "0.01", "--delay", "0"]
 EXAMPLE = (Path(__file__).parents[1] / "data/scenes/gains/wall.toml").read_text(encoding="utf-8")
-START = "import sys; from jaxstab.cli.main import main; main()"
+START = "from jaxstab.__main__ import main; main()"
 
 
 def run(*arguments: str | Path, stdin: str = "") -> Result:

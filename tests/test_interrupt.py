@@ -102,7 +102,7 @@ def interrupted(command: tuple[str, ...], seconds: float, folder: Path) -> tuple
     os.killpg(running.pid, signal.SIGINT)
     began = time.monotonic()
     _, told = running.communicate(timeout=60.0)  # stderr is open as long as a worker lives
-    assert running.returncode in (130, -signal.SIGINT)  # the latter while Python imports
+    assert running.returncode in (130, -signal.SIGINT)  # the latter while Python starts
     assert [entry.name for entry in folder.iterdir()] == ["scene.toml"]
     return time.monotonic() - began, told
 
@@ -115,6 +115,28 @@ def test_51_ctrl_c_ends_a_command(name: str, seconds: float, tmp_path: Path) -> 
     took, told = interrupted(COMMANDS[name], seconds, tmp_path)
     assert took < BUSY * MOST
     assert WORKER not in told
+
+
+IMPORTING = """
+import builtins, os, signal
+from jaxstab.__main__ import main
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+load = builtins.__import__
+
+def interrupted(name, *given, **options):
+    if name == "click":
+        os.kill(os.getpid(), signal.SIGINT)
+    return load(name, *given, **options)
+
+builtins.__import__ = interrupted
+main()
+"""
+
+
+def test_ctrl_c_while_commands_are_imported_ends_without_a_traceback() -> None:
+    done = subprocess.run([sys.executable, "-c", IMPORTING], capture_output=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, b"", b"")
 
 
 @pytest.mark.campaign

@@ -14,7 +14,7 @@ from benchmarks.table import resolutions, rivals
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-START = "import sys; from jaxstab.cli.main import main; main()"
+START = "from jaxstab.__main__ import main; main()"
 
 
 def blocks(language: str) -> list[str]:
