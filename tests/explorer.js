@@ -44,7 +44,7 @@ function headlines(cases) {
   return cases.map((setup) => {
     const loop = loopOf(setup), scale = unitsOf(setup), region = regionOf(loop), main = mainOf(region);
     if (!main) return headlineOf(null, region, false);
-    return headlineOf(printedWall(loop, scale, farthest(loop, main, 0)), region, false);
+    return headlineOf(printedWall(loop, scale, farthest(loop, main, 0), region.isClosed), region, false);
   });
 }
 

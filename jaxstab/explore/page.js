@@ -62,7 +62,7 @@ function computed(setup, looks) {
   const loop = loopOf(setup), region = regionOf(loop, looks), scale = unitsOf(setup);
   const main = mainOf(region), rest = region.components.filter((one) => one !== main);
   const other = isPlain(setup) ? { isClosed: true, sample: null } : oneSampleOf(setup, looks);
-  const best = main && farthest(loop, main, 0), printed = best && printedWall(loop, scale, best);
+  const best = main && farthest(loop, main, 0), printed = best && printedWall(loop, scale, best, region.isClosed);
   return {
     setup, loop, region, scale, plain: other.sample,
     isRough: looks < LOOKS && !(region.isClosed && other.isClosed),

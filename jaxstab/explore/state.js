@@ -81,16 +81,16 @@ function unitOf(value, digits) {
   return 10 ** (Math.floor(Math.log10(Math.abs(value) || 1)) + 1 - digits);
 }
 
-/** The gains by which the stiffest wall (alpha, beta) is printed: of a stable one, as stable_pair of shown.py; null where none is. */
-function printedWall(loop, scale, [alpha, beta]) {
+/** The gains by which the stiffest wall (alpha, beta) is printed: of a stable one, as stable_pair of shown.py; null where none is. Of a region that is not closed rounding may tell nothing: discs do. */
+function printedWall(loop, scale, [alpha, beta], isClosed) {
   const limit = alpha * scale.stiffness, other = Math.abs(beta) > NOTHING * alpha ? beta * scale.damping : 0;
   for (const digits of [3, 5, 7, 9, MOST_DIGITS]) {
     for (const count of [0, 1, 2, 5]) {
       const first = rounded(limit - count * unitOf(limit, LIMIT_DIGITS), LIMIT_DIGITS, -1);
       for (const way of [0, -1, 1]) {
         const wall = [first, rounded(other, digits, way)];
-        const { code } = verdictAndRadius(loop, wall[0] / scale.stiffness, wall[1] / scale.damping);
-        if (code === STABLE) return wall;
+        const gains = [wall[0] / scale.stiffness, wall[1] / scale.damping];
+        if (isClosed ? isStable(loop, ...gains) : verdictAndRadius(loop, ...gains).code === STABLE) return wall;
       }
     }
   }
