@@ -644,15 +644,17 @@ def scene_with(**changes: dict[str, Any]) -> Scene:
 
 def test_a_mass_behind_a_stiff_grip_arrives_with_the_device() -> None:
     """As one mass of both; a transfer function, whose masses are not known, is struck alone."""
-    hand = jaxstab.Hand.mass_spring_damper(1.0).with_grip(stiffness=1e6, damping=20.0)
+    hand = jaxstab.Hand.mass_spring_damper(1.0).with_grip(stiffness=1e5, damping=20.0)
     light = jaxstab.Device.mass_spring_damper(0.05, damping=0.1)
     whole = jaxstab.Device.mass_spring_damper(1.05, damping=0.1)
     unknown = jaxstab.Device.transfer_function([1.0], [0.05, 0.1, 0.0])
     one, both, struck = (
-        HapticLoop(device=device, sample_time=PERIOD, delay=PERIOD).contact(500.0, 5.0, speed=0.1)
+        HapticLoop(device=device, sample_time=PERIOD, delay=PERIOD).contact(
+            500.0, 5.0, speed=0.1, duration=0.1
+        )
         for device in (whole, light.held_by(hand), unknown.held_by(hand))
     )
-    assert both.penetration == pytest.approx(one.penetration, rel=1e-3)
+    assert both.penetration == pytest.approx(one.penetration, rel=1e-2)
     assert both.largest_force == pytest.approx(one.largest_force, rel=1e-2)
     assert struck.penetration < 0.1 * one.penetration
 

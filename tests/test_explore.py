@@ -560,13 +560,17 @@ def test_a_link_reproduces_the_state_and_a_scene_is_one(rng: np.random.Generator
 @needs_node
 def test_a_link_keeps_long_windows_and_high_orders() -> None:
     """A shorter window or a lower order is another estimator, which allows stiffer walls."""
-    velocity = {"window_samples": 200, "cutoff": 40.0, "order": 12, "kind": "butterworth"}
     walls = {f"{'a' * 63}{end}": {"stiffness": 1.0, "damping": 1.0} for end in "bc"}
-    table = {"controller": {"sample_time": 1e-4, "delay": 2e-2, "velocity": velocity}}
-    state = initial_of(page_of(table | {"walls": walls}))["state"]
-    assert (state["window"], state["order"], state["delay"]) == (200, 12, 200.0)
     other = initial_of(page_of({}))["state"]
-    assert asked_of_node("links", [other, state])[1] == state
+    for velocity, window, order in (
+        ({"window_samples": 200}, 200, None),
+        ({"cutoff": 400.0, "order": 12, "kind": "butterworth"}, 1, 12),
+    ):
+        table = {"controller": {"sample_time": 1e-4, "delay": 2e-2, "velocity": velocity}}
+        state = initial_of(page_of(table | {"walls": walls}))["state"]
+        assert (state["window"], state["delay"]) == (window, 200.0)
+        assert order in (None, state["order"])
+        assert asked_of_node("links", [other, state])[1] == state
     beyond = state | {"window": 201, "delay": 201.0, "numerator": [1.0, -1.0]}  # half a filter
     unchanged = {key: other[key] for key in ("window", "delay", "numerator", "denominator")}
     (_, taken) = asked_of_node("links", [other, beyond])

@@ -288,19 +288,16 @@ function holds(points, [x, y]) {
   return inside;
 }
 
-/**
- * Whether positive gains next to 0 are inside, as jaxstab.StableRegion.main asks. Next to 0 the
- * polygon may be coarser than the set: what is stable from there on until it is inside counts, too.
- */
+/** Whether positive gains next to 0 are inside, or all are stable until one is: polygons are coarse. */
 function holdsSmallGains(loop, points) {
   const { low, high } = extentOf(points);
   const most = [0, 1].map((axis) => Math.max(Math.abs(low[axis]), Math.abs(high[axis])));
   for (let ratio = -6; ratio <= 6; ratio++) { // of alpha to beta, in units of what the component spans
     const way = [most[0] * 10 ** Math.min(ratio, 0), most[1] * 10 ** Math.min(-ratio, 0)];
     for (let share = SMALL; share < 0.1; share *= 2) {
-      const [alpha, beta] = way.map((one) => share * one);
-      if (holds(points, [alpha, beta])) return true;
-      if (!isStable(loop, alpha, beta)) break;
+      const wall = way.map((one) => share * one);
+      if (holds(points, wall)) return true;
+      if (!isStable(loop, ...wall)) break;
     }
   }
   return false;
@@ -309,8 +306,7 @@ function holdsSmallGains(loop, points) {
 /** @returns {Component} */
 function componentOf(loop, chain) {
   const { size } = extentOf(chain.flatMap(pointsOf));
-  const pieces = chain.map((piece) => smoothed(loop, piece, size));
-  const points = pieces.flatMap((piece) => piece.points);
+  const pieces = chain.map((piece) => smoothed(loop, piece, size)), points = pieces.flatMap((one) => one.points);
   return { points, area: areaOf(points), holdsSmallGains: holdsSmallGains(loop, points), pieces };
 }
 
