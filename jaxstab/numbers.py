@@ -101,6 +101,13 @@ def require_unmasked(name: str, value: Any) -> None:
         raise TypeError(f"{name} is a masked array; give plain numbers.")
 
 
+def require_kind(name: str, value: Any, kind: type, public: str = "") -> None:
+    """Refuse what is not of a class of ours, by its public name; TypeError."""
+    if not isinstance(value, kind):
+        words = f"{name} is {shortened(value)}; give a jaxstab.{public or kind.__name__}."
+        raise TypeError(" ".join(words.split()))  # some answers print lines
+
+
 def _is_allowed(value: float, low: float, high: float, is_open: bool) -> bool:
     """True for a finite number in the range; False for one that a closer look may refuse."""
     return -inf < value < inf and (low < value if is_open else low <= value) and value <= high

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import START, assert_one_sentence, run, run_process
+from commands import START, assert_one_sentence, run, run_code, run_process
 
 import jaxstab
 from jaxstab.guard.guard import checked_name
@@ -394,3 +394,57 @@ def test_a_masked_array_is_refused_wherever_numbers_are_given() -> None:
     ):
         with pytest.raises(TypeError, match=f"{name} is a masked array; give plain numbers"):
             ask()
+
+
+OF_ANOTHER_KIND = """
+import jaxstab
+loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
+ranges = {"mass": (0.2, 0.3), "delay": (0.0, 1e-3)}
+sides = {"base": [1, -2, 1], "first": [1, 0], "second": [1, -1], "sample_time": 1.0}
+over = {"device_mass": [0.1, 0.2]}
+for call in (
+    lambda: jaxstab.shares(3),
+    lambda: jaxstab.quantiles(loop),
+    lambda: jaxstab.study(loop, over, walls=3),
+    lambda: jaxstab.study(loop, over, walls={"soft": 3}),
+    lambda: jaxstab.build_atlas(3, "atlas.h5"),
+    lambda: jaxstab.contact_map(3, 1.0, 1.0, push=1.0),
+    lambda: jaxstab.contact_table(3, [1.0], 1.0, push=1.0),
+    lambda: jaxstab.pid(3, kd=1.0),
+    lambda: jaxstab.build_guard(3, jaxstab.HandRange(), **ranges),
+    lambda: jaxstab.Loop.from_coefficients(**sides | {"base": 3}),
+    lambda: jaxstab.Loop.from_coefficients(**sides, gains=3),
+    lambda: jaxstab.Loop.from_coefficients(**sides, gains=("a", "a", "b")),
+    lambda: jaxstab.identify(force=None, position=[0.0], sample_time=1e-3),
+    lambda: jaxstab.HapticLoop(device=loop.region(), sample_time=1e-3),
+):
+    try:
+        call()
+    except (TypeError, ValueError) as error:
+        print(error)
+"""
+
+
+def test_what_is_of_another_kind_is_refused_by_its_name(tmp_path: Path) -> None:
+    """In a process of its own: here annotations would refuse it."""
+    completed = run_code(OF_ANOTHER_KIND, tmp_path)
+    assert completed.returncode == 0, completed.stderr
+    assert [*tmp_path.iterdir()] == []
+    for said, words in zip(
+        completed.stdout.splitlines(),
+        (
+            "study is 3; give the xarray.Dataset of jaxstab.study or of its file.",
+            "study is HapticLoop(",
+            "walls is 3; give (K, B) by the name of each wall.",
+            "wall soft is 3; give its K and B.",
+            "spec is 3; give a jaxstab.AtlasSpec.",
+            *["loop is 3; give a jaxstab.HapticLoop."] * 4,
+            "base is 3; give a list of coefficients.",
+            'gains is 3; give two different names such as ("kp", "kd").',
+            "gains is ('a', 'a', 'b'); give two different names",
+            "force is None; give real numbers.",
+            "device is WallRegion",
+        ),
+        strict=True,
+    ):
+        assert said.startswith(words)

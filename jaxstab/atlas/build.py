@@ -33,6 +33,7 @@ from jaxstab.atlas.table import LimitTable
 from jaxstab.conventions import AXES, Verdict
 from jaxstab.durable import identity_of, replacing, target_of
 from jaxstab.model.filters import Filters, as_keywords
+from jaxstab.numbers import require_kind
 from jaxstab.point import verdict
 
 Progress = Callable[[int, int], object]
@@ -82,6 +83,7 @@ def write_atlas(
     executor: Executor | None = None,
 ) -> None:
     """Build an atlas of any size; see ``build_atlas``, which opens it."""
+    require_kind("spec", spec, AtlasSpec)
     former = identity_of(target_of(path)[0])
     with replacing(path, former=former) as descriptor:
         plan = LimitPlan.of(spec)

@@ -23,7 +23,7 @@ from jaxstab.atlas import file
 from jaxstab.atlas.table import PLANT, AlphaLimits, LimitTable
 from jaxstab.conventions import AXES, Status, Verdict
 from jaxstab.durable import identity_of, target_of
-from jaxstab.numbers import checked, require_together
+from jaxstab.numbers import checked, require_kind, require_together
 from jaxstab.shown import table_text
 
 if TYPE_CHECKING:
@@ -340,8 +340,7 @@ def _checked_loop(loop: Any) -> Any:
     """Return a loop of plain numbers, by whose properties all is converted."""
     from jaxstab.model.loop import LoopParameters
 
-    if not isinstance(loop, LoopParameters):
-        raise TypeError(f"loop is {loop!r}; give a jaxstab.HapticLoop.")
+    require_kind("loop", loop, LoopParameters, "HapticLoop")
     plain = loop.in_floats()
     if plain.body is None:
         raise TypeError(

@@ -30,7 +30,7 @@ from jaxstab.model.filters import (
     as_keywords,
     known_filters,
 )
-from jaxstab.numbers import checked_count, checked_number, checked_word
+from jaxstab.numbers import checked_count, checked_number, checked_word, require_kind
 from jaxstab.shown import shortened
 from jaxstab.tables import check_keys, parsed, read_table
 
@@ -204,8 +204,7 @@ class AtlasSpec:
         for name, value in as_keywords(known_filters(self.velocity, self.position)).items():
             object.__setattr__(self, name, _as_written(name, value))
         if self.fields is not None:
-            if not isinstance(self.fields, FieldSpec):
-                raise TypeError(f"fields is {self.fields!r}; give a jaxstab.FieldSpec.")
+            require_kind("fields", self.fields, FieldSpec)
             missing = [name for name in PLANT if getattr(self.fields, name) is None]
             given = {name: getattr(self, name) for name in missing}
             object.__setattr__(self, "fields", replace(self.fields, **given))

@@ -27,7 +27,7 @@ from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.model.filters import known_filters
 from jaxstab.model.loop import refuse_arrays
 from jaxstab.motion.moving_delays import Delays
-from jaxstab.numbers import checked_count, checked_number
+from jaxstab.numbers import checked_count, checked_number, require_kind
 from jaxstab.region.closed_form import responses_at
 
 # Proof that every wall which a guard lets through is stable (lemma B20).
@@ -323,6 +323,7 @@ def _checked_jitter(
 ) -> float:
     """By how many samples the delay may move, rounded up; it refuses what has no guard."""
     least_gain = 1e-6  # of a position filter at z = 1
+    require_kind("loop", loop, LoopParameters, "HapticLoop")
     checked_range(hands, device=loop.device)
     refuse_arrays(loop)
     body = loop.held_device.mechanism

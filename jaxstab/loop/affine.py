@@ -49,7 +49,7 @@ from jaxstab.numbers import checked_count, checked_number, require_together
 from jaxstab.region.pieces import NO_BRANCH
 from jaxstab.region.region import region_of
 from jaxstab.region.stable_set import RegionStatus
-from jaxstab.shown import exact_text, number_text, text_with_bound
+from jaxstab.shown import exact_text, number_text, shortened, text_with_bound
 from jaxstab.tuning import TuningStatus
 from jaxstab.tuning.radius import Walls, family_of_loop, smallest_radius
 
@@ -200,6 +200,9 @@ class Loop(TwoGains):
             <Verdict.STABLE: 1>
         """
         sides = {"base": base, "first": first, "second": second}
+        for name, side in sides.items():
+            if not isinstance(side, Sequence | np.ndarray):
+                raise TypeError(f"{name} is {shortened(side)}; give a list of coefficients.")
         checked = [
             tuple(_coefficient(f"{name}[{k}]", c) for k, c in enumerate(side))
             for name, side in sides.items()
@@ -207,7 +210,9 @@ class Loop(TwoGains):
         for name, side in zip(sides, checked, strict=True):
             if not any(c != 0 and c != (0, 0) for c in side):
                 raise ValueError(f"{name} is 0; give a polynomial with a coefficient that is not.")
-        if len(set(gains)) != 2 or not all(str(gain).isidentifier() for gain in gains):
+        given: Any = gains
+        names = tuple(map(str, given)) if isinstance(given, Sequence) else ()
+        if not len(set(names)) == len(names) == 2 or not all(name.isidentifier() for name in names):
             raise ValueError(f'gains is {gains!r}; give two different names such as ("kp", "kd").')
         period = checked_number("sample_time", sample_time, 0.0, is_open=True, unit="s")
         named_gains = Gain(gains[0], units[0]), Gain(gains[1], units[1])

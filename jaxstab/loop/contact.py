@@ -29,7 +29,7 @@ from jaxstab.motion.contact import (
     paths,
 )
 from jaxstab.motion.response import Column, Controller, Response, answer_text, controller_for
-from jaxstab.numbers import checked, checked_number, require_together
+from jaxstab.numbers import checked, checked_number, require_kind, require_together
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -243,6 +243,7 @@ def setup_of(
     tolerance: Numbers = 1e-6,
 ) -> _Setup:
     """Return the runs that arguments describe, checked."""
+    require_kind("loop", loop, LoopParameters, "HapticLoop")
     shortest, longest = 16, 1e8  # samples
     conditions = friction, static_friction, encoder, phase, force_step, max_force, push, speed
     given = (stiffness, damping, *conditions, position, duration, delays, tolerance)

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 from jaxstab.loop.affine import Loop
 from jaxstab.loop.gains import Gain
+from jaxstab.model import LoopParameters
 from jaxstab.model.affine import RULES, AdmittanceParts, CouplingParts, PidParts, SimulatedParts
 from jaxstab.model.device import Device
 from jaxstab.model.device.device import in_steps
 from jaxstab.model.filters import Filter, Velocity, filter_on
 from jaxstab.model.parameters import LONGEST_DELAY
-from jaxstab.numbers import checked_count, checked_number, checked_word
+from jaxstab.numbers import checked_count, checked_number, checked_word, require_kind
 
 if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop
@@ -139,8 +140,7 @@ def admittance(
 def _filter(name: str, value: Any, period: float) -> Filter:
     if value is None:
         return Filter()
-    if not isinstance(value, Filter):
-        raise TypeError(f"{name} is {value!r}; give a jaxstab.Filter.")
+    require_kind(name, value, Filter)
     value.checked(period)
     return value
 
@@ -185,6 +185,7 @@ def pid(
         >>> [round(loop.limits().first.value) for loop in (jaxstab.pid(device, ki=0.0), fast)]
         [36168, 171706]
     """
+    require_kind("loop", loop, LoopParameters, "HapticLoop")
     given = {
         name: value for name, value in (("kp", kp), ("ki", ki), ("kd", kd)) if value is not None
     }
@@ -244,17 +245,15 @@ def coupling(
         [(0, 34312), (130060, 184003)]
     """
     for name, device in (("first", first), ("second", second)):
-        if not isinstance(device, Device):
-            raise TypeError(f"{name} is {device!r}; give a jaxstab.Device.")
+        require_kind(name, device, Device)
     period = checked_number("sample_time", sample_time, 0.0, is_open=True, unit="s")
     if len(delays_samples) != 2:
         raise ValueError(f"delays_samples is {delays_samples}; give one delay for each device.")
     delays = [
         checked_number("delays_samples", delay, 0.0, LONGEST_DELAY) for delay in delays_samples
     ]
-    if velocity is not None and not isinstance(velocity, Velocity):
-        raise TypeError(f"velocity is {velocity!r}; give a jaxstab.Velocity.")
     if velocity is not None:
+        require_kind("velocity", velocity, Velocity)
         filter_on(velocity, first.mechanism, second.mechanism).checked(period)
     for device, delay in zip((first, second), delays, strict=True):
         if own := in_steps(device):

@@ -39,7 +39,7 @@ from jaxstab.arrays import (
 )
 from jaxstab.model.device.parts import coefficients, exact, flint
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.numbers import checked_count, checked_number, require_x64
+from jaxstab.numbers import checked_count, checked_number, require_kind, require_x64
 from jaxstab.shown import call_text
 
 if TYPE_CHECKING:
@@ -836,8 +836,8 @@ def given_filters(velocity: Any, position: Any) -> Filters | None:
     if velocity is None and position is None:
         return None
     for name, value, kind in (("velocity", velocity, Velocity), ("position", position, Filter)):
-        if value is not None and not isinstance(value, kind):
-            raise TypeError(f"{name} is {value!r}; give a jaxstab.{kind.__name__}.")
+        if value is not None:
+            require_kind(name, value, kind)
     velocity, position = velocity or Velocity(), position or Filter()
     is_plain = velocity in (Velocity(), Velocity.difference(samples=1)) and position == Filter()
     return None if is_plain else (velocity, position)

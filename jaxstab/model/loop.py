@@ -29,6 +29,7 @@ from jaxstab.numbers import (
     checked,
     checked_number,
     in_doubles,
+    require_kind,
     require_together,
     require_x64,
 )
@@ -135,8 +136,7 @@ class LoopParameters:
             if missing:
                 raise TypeError(f"{missing[0]} is missing; give it, or device=jaxstab.Device....")
             return
-        if not isinstance(self.device, Device):
-            raise TypeError(f"device is {self.device!r}; give a jaxstab.Device.")
+        require_kind("device", self.device, Device)
         given = [name for name in of_device if getattr(self, name) is not None]
         for name in ("hand_mass", "hand_damping", "hand_stiffness"):
             value = getattr(self, name)

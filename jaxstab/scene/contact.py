@@ -23,7 +23,7 @@ from jaxstab.arrays import Numbers
 from jaxstab.loop import Contact, ContactKind, HapticLoop, contact_map
 from jaxstab.loop.contact import setup_of
 from jaxstab.model import LoopParameters
-from jaxstab.numbers import checked
+from jaxstab.numbers import checked, require_kind
 from jaxstab.scene.answers import Answer, Basis, Frequency, Quantity, basis_of
 from jaxstab.scene.labelled import Variable, computed, table_of, xarray_module
 from jaxstab.scene.loops import Floats, hands_of, loop_of, walls_of, with_delay
@@ -295,6 +295,7 @@ def plan_contacts(
     loop: LoopParameters, given: Mapping[str, Any], units: Units = Units.LINE
 ) -> "Dataset":
     """Return the table of contacts, to be computed by dask; ``given`` as for ``contact_map``."""
+    require_kind("loop", loop, LoopParameters, "HapticLoop")
     xarray, loop = xarray_module(), loop.in_floats()
     lists = {
         name: checked(name, value)

@@ -185,7 +185,8 @@ def identify(
     fewest, most = 2000, 64_000  # rows
     period = checked_number("sample_time", sample_time, 0.0, is_open=True, unit="s")
     given = {"force": force, "position": position, "velocity": velocity}
-    columns = {name: np.ravel(checked(name, x)) for name, x in given.items() if x is not None}
+    given = {name: x for name, x in given.items() if x is not None or name != "velocity"}
+    columns = {name: np.ravel(checked(name, x)) for name, x in given.items()}
     forces, positions = columns["force"], columns["position"]
     for name, column in columns.items():
         if len(column) != len(positions):

@@ -206,6 +206,7 @@ def shares(study: "Dataset", *, confidence: float = 0.95) -> "Dataset":
     """
     if not 0.0 < confidence < 1.0:
         raise ValueError(f"confidence is {confidence:g}; give a number between 0 and 1.")
+    _require_table(study)
     if "verdict" not in study:
         raise ValueError("the study has no verdicts; give walls, and verdict among answers.")
     verdict = _drawn(study, "verdict").drop_attrs(deep=False)  # counts are no verdicts
@@ -253,6 +254,7 @@ def quantiles(
     """
     if not all(0.0 <= share <= 1.0 for share in at):
         raise ValueError(f"at is {shortened(list(at))}; give numbers from 0 to 1.")
+    _require_table(study)
     if variable not in study.variables:
         names = ", ".join(map(str, study.variables))
         raise KeyError(f"{variable} is no variable of the study; it has {names}.")
@@ -290,6 +292,13 @@ def _score_interval(
         return (share + 0.5 * z * z / total + side * z * half) / (1.0 + z * z / total)
 
     return end(least, -1.0).where(least > 0, 0.0), end(most, 1.0).where(most < total, 1.0)
+
+
+def _require_table(study: Any) -> None:
+    if not isinstance(study, xarray_module().Dataset):
+        raise TypeError(
+            f"study is {shortened(study)}; give the xarray.Dataset of jaxstab.study or of its file."
+        )
 
 
 def _drawn(study: "Dataset", variable: str) -> "DataArray":
@@ -472,6 +481,11 @@ def _different(
 
 
 def _checked_walls(walls: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+    if not isinstance(walls, Mapping):
+        raise TypeError(f"walls is {shortened(walls)}; give (K, B) by the name of each wall.")
+    for name, wall in walls.items():
+        if np.shape(wall) != (2,):
+            raise TypeError(f"wall {name} is {shortened(wall)}; give its K and B.")
     return {
         checked_label(name): (
             checked_number(f"the stiffness of wall {name}", stiffness),

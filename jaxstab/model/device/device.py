@@ -55,7 +55,7 @@ from jaxstab.model.device.parts import (
     turn,
     working_precision,
 )
-from jaxstab.numbers import checked_number, checked_word
+from jaxstab.numbers import checked_number, checked_word, require_kind
 
 # Systems of python-control and of scipy.signal as numbers; neither of them is imported.
 
@@ -406,8 +406,7 @@ class Device:
         order above 40, if a mode has a negative mass: motor and encoder are then apart, and it is
         not known where the hand acts; or if the handle has a negative mass that the hand's exceeds.
         """
-        if not isinstance(hand, Hand):
-            raise TypeError(f"hand is {hand!r}; give a jaxstab.Hand.")
+        require_kind("hand", hand, Hand)
         if degree_of(hand.dynamic_stiffness().numerator) >= 0:  # it does anything
             self.require_handle()
         return replace(self, hands=(*self.hands, hand))._checked()
