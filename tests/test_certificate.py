@@ -2,6 +2,8 @@
 
 import importlib.util
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -73,7 +75,7 @@ def scene(seed: int) -> dict[str, Any]:
 def test_the_program_is_short_and_imports_the_standard_library_alone() -> None:
     lines = READER.read_text().splitlines()
     imports = [line for line in lines if line.startswith(("import ", "from "))]
-    assert len(lines) <= 250
+    assert len(lines) <= 280
     assert {line.split()[1] for line in imports} <= {"json", "sys", "fractions", "math", "operator"}
 
 
@@ -137,6 +139,17 @@ def test_what_was_changed_is_refused(
         ("loop.velocity", {"butterworth": "1"}),
         ("walls.soft.stiffness_intervals.0", ["2", "1"]),
         ("walls.soft.stiffness", "much"),
+        # Loops of another kind, about which the claims say nothing.
+        ("loop.position", {"cutoff": "1/10"}),
+        ("loop.velocity", {"window_samples": "8", "cutoff": "1/10"}),
+        ("loop.velocity.window_samples", "17/2"),
+        ("loop.velocity", {"cutoff": "1/10", "order": "0"}),
+        ("loop.velocity", {"cutoff": "-1/10", "order": "1"}),
+        ("loop.mass", "-1/4"),
+        ("loop.sample_time", "-1/1000"),
+        ("loop.delay_samples", "-1"),
+        ("loop.delay_samples", "1e400"),
+        ("loop.damping", "1e400"),
     ],
 )
 def test_a_file_that_cannot_be_read_is_named(
@@ -146,6 +159,28 @@ def test_a_file_that_cannot_be_read_is_named(
     assert said_of(reader, changed(claims, path, value), tmp_path) == 2
     assert "wall.json: " in capsys.readouterr().err
     assert reader.main(tmp_path / "absent.json") == 2
+    (tmp_path / "deep.json").write_text("[" * 100_000)
+    assert reader.main(tmp_path / "deep.json") == 2
+
+
+def test_the_order_of_the_keys_says_nothing(reader: Any, tmp_path: Path) -> None:
+    claims = certificate(Scene.from_table(SCENE))
+    claims["loop"] = dict(sorted(claims["loop"].items()))
+    assert said_of(reader, claims, tmp_path) == 0
+
+
+def test_a_damper_on_a_device_that_nothing_holds_is_confirmed(reader: Any, tmp_path: Path) -> None:
+    """Its p(z) has a root at 1, which no number of bits tells from one inside."""
+    free = {"walls": {"damper": {"stiffness": 0.0, "damping": 5.0}}, "hand": {}}
+    assert said_of(reader, certificate(Scene.from_table(SCENE | free)), tmp_path) == 0
+
+
+def test_the_program_says_what_it_is_asked_with() -> None:
+    for given, code in ((["--help"], 0), ([], 2), (["a.json", "b.json"], 2)):
+        asked = [sys.executable, str(READER), *given]
+        said = subprocess.run(asked, capture_output=True, text=True, check=False)
+        assert said.returncode == code
+        assert "python check_wall.py wall.json" in said.stdout
 
 
 def test_check_writes_a_certificate(reader: Any, tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ for a_i - (a_0 / a_n) a_(n-i) without its constant, down to degree 0 (Schur and 
 
 The arithmetic. A number is an interval of two integers in units of 2^-bits, rounded outwards. e^X
 is (e^(X / 2^s))^(2^s), by its Taylor sum and a bound of the remainder. If a comparison is not
-decided, there are twice as many bits.
+decided, there are twice as many bits. One case no number of bits decides: where K = -k, p(1) is 0.
 
 What is confirmed: the verdict on each wall; and at both ends of each interval of K that K is stable
 within by a part of 1e-9, and not stable beyond. That nothing between is unstable, and that there
@@ -35,6 +35,7 @@ from operator import mul
 TOLERANCE = Fraction(1, 10**9)  # of an interval's ends
 FEWEST_BITS, MOST_BITS = 256, 8192
 FORMAT = "jaxstab wall 1"
+BAD_FILES = OSError, ValueError, KeyError, TypeError, AttributeError, ArithmeticError, RuntimeError
 
 
 class Undecided(ArithmeticError):
@@ -187,6 +188,8 @@ def polynomial(loop, stiffness, damping):
 
 def is_stable(loop, stiffness, damping):
     """Whether a wall is stable; proved."""
+    if stiffness + Fraction(loop["stiffness"]) == 0:  # nothing holds the position
+        return False
     Real.bits = FEWEST_BITS
     while True:
         try:
@@ -204,6 +207,30 @@ def has_roots_inside(p):
         ratio = p[0].over(p[-1])
         p = [x - ratio * y for x, y in zip(p[1:], p[-2::-1])]
     return True
+
+
+def checked(loop):
+    """A loop; ValueError if it is another than that of the model, or larger than jaxstab allows."""
+    of_wall, given = loop["velocity"], {name: x for name, x in loop.items() if name != "velocity"}
+    if {*given} != {"mass", "damping", "stiffness", "sample_time", "delay_samples"}:
+        raise ValueError(f"the loop has the keys {', '.join(loop)}")
+    if {*of_wall} not in ({"window_samples"}, {"cutoff", "order"}):
+        raise ValueError(f"the velocity has the keys {', '.join(of_wall)}")
+    values = {name: Fraction(x) for name, x in {**given, **of_wall}.items()}
+    m, b, k, period, delay = (
+        values[name] for name in ("mass", "damping", "stiffness", "sample_time", "delay_samples")
+    )
+    counts = [values[name] for name in ("window_samples", "order") if name in values]
+    for is_right, words in (
+        (m > 0 and period > 0 and values.get("cutoff", 1) > 0, "mass, sample_time and cutoff > 0"),
+        (min(b, k, delay) >= 0, "damping, stiffness and delay_samples >= 0"),
+        (min(counts) >= 1 and all(x == int(x) for x in counts), "whole samples and orders >= 1"),
+        (max(delay, *counts) <= 500, "at most 500 samples"),
+        (max(b * period, k * period**2) <= 10**4 * m, "b T/m and k T^2/m of at most 10^4"),
+    ):
+        if not is_right:
+            raise ValueError(f"the loop is of another kind; this program takes {words}")
+    return loop
 
 
 def claims(file):
@@ -229,16 +256,16 @@ def main(path):
             file = json.load(stream)
         if file["format"] != FORMAT:
             raise ValueError(f"format is {file['format']!r}; this program reads {FORMAT!r}")
-        asked, refused = list(claims(file)), 0
+        loop, asked, refused = checked(file["loop"]), list(claims(file)), 0
         for words, stiffness, damping, expected in asked:
             try:
-                is_right = is_stable(file["loop"], stiffness, damping) == expected
+                is_right = is_stable(loop, stiffness, damping) == expected
                 answer = "confirmed" if is_right else "REFUSED"
             except Undecided:
                 answer = "NOT DECIDED"
             refused += answer != "confirmed"
             print(f"{words}: {answer}")
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, ZeroDivisionError) as error:
+    except BAD_FILES as error:
         print(f"{path}: {type(error).__name__}: {error}", file=sys.stderr)
         return 2
     print(f"{len(asked) - refused} of {len(asked)} claims confirmed")
@@ -246,4 +273,7 @@ def main(path):
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1]) if len(sys.argv) == 2 else __doc__)
+    if len(sys.argv) == 2 and sys.argv[1] != "--help":
+        sys.exit(main(sys.argv[1]))
+    print(__doc__)
+    sys.exit(0 if sys.argv[1:] == ["--help"] else 2)
