@@ -102,17 +102,25 @@ def columns_of(
         for column in columns:
             if column not in names:
                 listed = shortened(", ".join(names))
-                raise ValueError(f"{source} has no column {column!r}; its columns are {listed}.")
+                hint = "" if len(names) > 1 else ", and names in the first line need commas between"
+                raise ValueError(
+                    f"{source} has no column {column!r}; its columns are {listed}{hint}."
+                )
         numbers |= {name: [] for name in (*columns, *optional) if name in names}
         for column in numbers:
             if names.count(column) > 1:
                 raise ValueError(f"{column} is the name of two columns of {source}; leave one out.")
         for row in filter(None, lines):
+            if any(row[len(names) :]):  # of numbers with a decimal comma, for instance
+                raise ValueError(
+                    f"{source}, line {lines.line_num} has {len(row)} values, but the first line "
+                    f"{len(names)} names; give one value a column, with a decimal point."
+                )
             for column, values in numbers.items():
                 index = names.index(column)
-                cell = row[index] if index < len(row) else None
+                cell = row[index] if index < len(row) else ""
                 try:
-                    values.append(float(cell or ""))
+                    values.append(float(cell))
                 except ValueError:
                     values.append(inf)
                 if not isfinite(values[-1]):

@@ -1,6 +1,7 @@
 """What a log tells about a device: against logs that an independent simulation made."""
 
 import math
+import re
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -178,6 +179,12 @@ def test_a_low_pass_is_told_from_the_velocity() -> None:
     assert found.unexplained < 1e-9
 
 
+def test_a_velocity_that_nothing_explains_is_told_in_percent(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(with_velocity(np.random.default_rng(1).normal(size=2000)))
+    assert "; 100 % rms unexplained\n" in run("identify", path).stdout
+
+
 def test_a_vibration_mode_is_noticed_with_its_frequency() -> None:
     log = simulated(Pushed(), ROWS, 2)
     mode = 2.0 * math.pi * 61.0
@@ -281,6 +288,13 @@ def test_after_a_warning_a_scene_has_no_range(tmp_path: Path) -> None:
 
 
 GOOD = as_csv(simulated(Pushed(), 2000, 0))
+
+
+def with_velocity(values: np.ndarray) -> str:
+    columns = zip(GOOD.splitlines(), ["velocity", *values.tolist()], strict=True)
+    return "\n".join(f"{line},{value}" for line, value in columns)
+
+
 STILL = as_csv(Log(1e-3 * np.arange(2000), np.ones(2000), np.zeros(2000)))
 WEAK = as_csv(
     Log(
@@ -302,6 +316,19 @@ BAD = {
     ),
     "a motion of its own": (WEAK, "force"),
     "empty": ("", "no column"),
+    "a device that stands": (
+        as_csv(replace(made, position=np.full(2000, 0.25))),
+        "position spans 0 and force spans 5.1644; give",
+    ),
+    "semicolons": (GOOD.replace(",", ";"), "names in the first line need commas between"),
+    "a comment": (f"# by our logger\n{GOOD}", "names in the first line need commas between"),
+    "a decimal comma": (GOOD.replace("\n0.5,", "\n0,5,", 1), "line 502 has 4 values, but"),
+    "a cut line": (re.sub("\n0.5,.*", "\n0.5,1", GOOD, count=1), "line 502: position is ''"),
+    "a header alone": (GOOD.splitlines()[0], "has 0 rows of numbers; give all."),
+    "a velocity that is none": (
+        with_velocity(np.zeros(2000)),
+        "velocity is 0 throughout; give the one",
+    ),
 }
 
 

@@ -304,7 +304,7 @@ def test_a_row_that_is_drawn_again_is_computed_once(
     [
         ("a,k\n1,2\n", "hands.csv has no column 'b'; its columns are 'a, k'"),
         ("a,b\n1,2\n1,x\n", "hands.csv, line 3: b is 'x'; give a finite number"),
-        ("a,b\n1\n", "hands.csv, line 2: b is None; give a finite number"),
+        ("a,b\n1\n", "hands.csv, line 2: b is ''; give a finite number"),
         ("a,b\n", "hands.csv has no rows below its names"),
         ("a,b\n1,nan\n", "hands.csv, line 2: b is 'nan'; give a finite number"),
     ],

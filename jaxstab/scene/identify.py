@@ -64,7 +64,7 @@ from jaxstab.motion.contact import Flow, Plant, Runs, Seen, series, series_at
 from jaxstab.numbers import checked, checked_number
 from jaxstab.scene.answers import Quantity
 from jaxstab.scene.scene import Controller, Device, Units
-from jaxstab.shown import printable
+from jaxstab.shown import printable, rounded_text
 from jaxstab.tables import columns_of
 
 Rows = Float64[np.ndarray, " row"]
@@ -201,10 +201,15 @@ def identify(
         )
     resolution, extent = _resolution(positions), float(np.ptp(positions))
     unit = resolution or 1e-4 * extent
-    if not extent >= 20.0 * unit or not np.ptp(forces):
+    if not extent >= 20.0 * unit > 0.0 or not np.ptp(forces):
         raise ValueError(
             f"position spans {extent:g} and force spans {np.ptp(forces):g}; give a log in which "
             f"the force moves the device by at least 20 encoder steps."
+        )
+    if "velocity" in columns and not np.ptp(columns["velocity"]):
+        raise ValueError(
+            f"velocity is {columns['velocity'][0]:g} throughout; give the one that the software "
+            "estimates, or none."
         )
     middle = float(positions.mean())
     estimates, measured, fitted = _fit(forces, (positions - middle) / unit, period, spring)
@@ -532,7 +537,9 @@ def read_log(
     unequal = 0.1  # of a sample: the most that a time step may differ from the mean
     if sample_time is None:
         steps = np.diff(columns["time"])
-        sample_time = float(np.mean(steps)) if len(steps) else 0.0
+        if not len(steps):
+            raise ValueError(f"{file} has {len(columns['time'])} rows of numbers; give all.")
+        sample_time = float(np.mean(steps))
         odd = np.flatnonzero(~(abs(steps - sample_time) <= unequal * sample_time))
         if len(odd) or not sample_time > 0.0:
             line = int(odd[0]) + 3 if len(odd) else 3
@@ -647,7 +654,7 @@ def _unexplained(device: Identified) -> str:
     percent = 100.0 * device.unexplained
     if isnan(percent):
         return "as given"
-    return f"{f'{percent:.2g}' if percent >= 1e-3 else '< 0.001'} % rms unexplained"
+    return f"{rounded_text(percent, 2) if percent >= 1e-3 else '< 0.001'} % rms unexplained"
 
 
 def identified_scene(device: Identified, units: Units, source: str) -> str:
