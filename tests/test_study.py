@@ -828,6 +828,18 @@ def test_the_command_computes_parts_and_merges_them(desk: Path) -> None:
         (["--over", "device.mass=1,2", "--over", "device.mass=1,2"], "device.mass is given twice"),
         (["--over", "device.mass=1,2", "--part", "3of2"], "'3of2' is no part; give NUMBER/COUNT"),
         (["--over", "device.mass=1,2", "--merge"], "--merge is given beside --over"),
+        *(
+            (["--merge", *ignored], f"--merge is given beside {ignored[0]}, but nothing is")
+            for ignored in (
+                ["--part", "1/2"],
+                ["--samples", "3"],
+                ["--seed", "7"],
+                ["--answer", "limits"],
+                ["--set", "device.mass=1"],
+                ["--sample-time", "0.01"],
+                ["--workers", "2"],
+            )
+        ),
         (["--over", "device.mass=1,2", "--samples", "9"], "--samples is 9, but nothing is drawn"),
         (["--over", "hand.stiffness=csv:none.csv:k"], "none.csv"),
         (["--over", "hand.stiffness=nomal:1:2"], "'nomal:1:2' is no distribution; give normal:"),

@@ -83,8 +83,15 @@ def study(
 
     if output is None and (merge or part):
         raise click.UsageError("--merge and --part are given without --output; give the file.")
-    if merge and (over or part):
-        raise click.UsageError("--merge is given beside --over or --part; give one of them.")
+    if merge:
+        of_studies = {"over": over, "part": part, "samples": samples, "seed": seed or None, **given}
+        for name, value in of_studies.items():
+            if name != "files" and value not in (None, (), {}):
+                option = {"lines": "set", "answers": "answer"}.get(name, name).replace("_", "-")
+                raise click.UsageError(
+                    f"--merge is given beside --{option}, but nothing is computed anew; give one "
+                    "of them."
+                )
     if not merge and len(given["files"]) > 1:
         raise click.UsageError("a study is for one scene; give one FILE, or --merge.")
     if merge:
