@@ -185,6 +185,13 @@ def test_a_worker_that_dies_is_one_sentence(tmp_path: Path) -> None:
     assert entries(tmp_path) == []
 
 
+def test_a_folder_in_place_of_a_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match=f"cannot read {tmp_path}: there is a folder of this name"):
+        open_atlas(tmp_path)
+    with pytest.raises(OSError, match=f"cannot write {tmp_path}: there is a folder of this name"):
+        build_atlas(TINY, tmp_path)
+
+
 def test_a_folder_that_is_missing_is_named(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"^\[Errno 2\] cannot write .*nowhere"):
         write_atlas(TINY, tmp_path / "nowhere" / "a.h5")

@@ -31,7 +31,7 @@ from jaxstab.atlas.query import Atlas, open_atlas
 from jaxstab.atlas.spec import AtlasSpec, words_of
 from jaxstab.atlas.table import LimitTable
 from jaxstab.conventions import AXES, Verdict
-from jaxstab.durable import identity_of, replacing, target_of
+from jaxstab.durable import identity_of, named_errors, replacing, target_of
 from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.numbers import require_kind
 from jaxstab.point import verdict
@@ -84,7 +84,8 @@ def write_atlas(
 ) -> None:
     """Build an atlas of any size; see ``build_atlas``, which opens it."""
     require_kind("spec", spec, AtlasSpec)
-    former = identity_of(target_of(path)[0])
+    with named_errors("write", path):
+        former = identity_of(target_of(path)[0])
     with replacing(path, former=former) as descriptor:
         plan = LimitPlan.of(spec)
         grid = lay_out(spec) if spec.fields is not None else None

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from jaxstab.atlas import file
 from jaxstab.atlas.table import PLANT, AlphaLimits, LimitTable
 from jaxstab.conventions import AXES, Status, Verdict
-from jaxstab.durable import identity_of, target_of
+from jaxstab.durable import identity_of, named_errors, target_of
 from jaxstab.numbers import checked, require_kind, require_together
 from jaxstab.shown import table_text
 
@@ -94,7 +94,8 @@ class Atlas:
     """
 
     def __init__(self, path: Path) -> None:
-        self._path, self._identity = path, identity_of(target_of(path)[0])
+        with named_errors("read", path):
+            self._path, self._identity = path, identity_of(target_of(path)[0])
         contents = file.read_limits(path)
         self.table = LimitTable(**contents.arrays)
         self.spec, self.created_by = contents.spec, contents.created_by
