@@ -402,6 +402,7 @@ def servo(
     kp: float = 20.0,
     kd: float = 0.6,
     period: float = 2e-3,
+    rows: int = 150,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Set points, which step by 0.1 after 30 rows, and positions; the delay is in samples."""
     rate = np.array([[0.0, 1.0, 0.0], [0.0, -damping / inertia, 1.0 / inertia], [0.0, 0.0, 0.0]])
@@ -409,7 +410,7 @@ def servo(
     parts = [
         scipy.linalg.expm(rate * period * share) for share in (delay - whole, 1 - delay + whole)
     ]
-    goals, places, forces = np.repeat([0.2, 0.3], [30, 150]), [0.2] * (window + 1), [0.0] * 40
+    goals, places, forces = np.repeat([0.2, 0.3], [30, rows]), [0.2] * (window + 1), [0.0] * 40
     state = np.array([0.2, 0.0, 0.0])
     for goal in goals:
         places.append(state[0])
@@ -449,6 +450,32 @@ def test_intervals_of_a_servo_contain_the_truth() -> None:
         hits += [low <= truth <= high for (_, low, high), truth in own]
         assert found.mass.value == pytest.approx(0.01, rel=0.02)
     assert np.all(hits >= 0.7 * logs)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"delay": 25.0},  # nothing has moved yet
+        {"delay": 18.0},  # two rows tell of it
+        {"inertia": 0.5},  # it was fitted as 0.25 to 0.39 kg m^2, at the end of what is tried
+    ],
+)
+def test_a_log_that_ends_too_soon_determines_no_servo(changed: dict[str, float]) -> None:
+    setpoint, position = servo(rows=20, **changed)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="does not determine inertia, damping and delay; give"):
+        jaxstab.identify_servo(
+            setpoint=setpoint, position=position, kp=20.0, kd=0.6, sample_time=2e-3
+        )
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_long_log_of_a_servo_is_fitted_though_tries_grow_without_end() -> None:
+    setpoint, position = servo(rows=4000)
+    found = jaxstab.identify_servo(
+        setpoint=setpoint, position=position, kp=20.0, kd=0.6, sample_time=2e-3
+    )
+    assert found.mass.value == pytest.approx(0.01, rel=1e-4)
+    assert found.delay.value == pytest.approx(3e-3, abs=4e-6)
 
 
 def test_a_servo_with_another_gain_does_not_fit() -> None:

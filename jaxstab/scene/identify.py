@@ -286,8 +286,10 @@ def identify_servo(
             device_mass=mass, device_damping=damping, sample_time=period, delay=late * period,
             velocity=velocity,
         )  # fmt: skip
-        path = 1.0 + loop.simulate(*gains, samples=count, initial_position=-1.0).position
-        return rest + step * np.append(np.zeros(still), np.clip(path, -1e3, 1e3))
+        with np.errstate(all="ignore"):  # a try may grow beyond all numbers
+            path = 1.0 + loop.simulate(*gains, samples=count, initial_position=-1.0).position
+        path = np.clip(np.nan_to_num(path, nan=1e3), -1e3, 1e3)
+        return rest + step * np.append(np.zeros(still), path)
 
     rise = (measured[still:] - rest) / step
     risen, latest = (int(np.argmax(rise > share)) for share in (0.5, 0.05))
@@ -297,10 +299,11 @@ def identify_servo(
     tries = [(m, 0.0, d, rest) for m in masses for d in delays]
     start = np.array(min(tries, key=lambda x: float(np.sum((moved(x) - measured) ** 2))))
     sizes = np.array([heaviest, heaviest / (risen * period), 1.0, step])
+    lowest, highest = [0.01 / risen, 0.0, 0.0, -np.inf], [10.0, 10.0, HISTORY, np.inf]
     found = least_squares(
         lambda x: (moved(x * sizes) - measured) / step,
         start / sizes,
-        bounds=([0.01 / risen, 0.0, 0.0, -np.inf], [10.0, 10.0, HISTORY, np.inf]),
+        bounds=(lowest, highest),
         xtol=1e-10,
         ftol=1e-12,
         gtol=None,
@@ -311,6 +314,14 @@ def identify_servo(
         raise ValueError(
             f"a mass behind a delay does not fit this step: the residual is {size:g} rms of a step "
             f"of {abs(step):g}; give the servo's own gains, and set point and position in one row."
+        )
+    least = 1e-6  # of the step: values that change the path by less are not determined
+    told = np.linalg.svd(found.jac, compute_uv=False)[-1] > least * sqrt(len(measured))
+    # At an end of what is tried the fit is no best one; no damping and no delay may be true.
+    if not told or np.any(found.x > np.multiply(0.99, highest)) or found.x[0] < 1.01 * lowest[0]:
+        raise ValueError(
+            f"position moves by {np.ptp(measured):g} after a step of {abs(step):g}, and does not "
+            "determine inertia, damping and delay; give the rows until the servo rests again."
         )
     free = len(measured) - len(sizes)
     spread = np.sqrt(np.diag(np.linalg.pinv(found.jac.T @ found.jac)) * 2.0 * found.cost / free)
