@@ -405,6 +405,8 @@ over = {"device_mass": [0.1, 0.2]}
 for call in (
     lambda: jaxstab.shares(3),
     lambda: jaxstab.quantiles(loop),
+    lambda: jaxstab.quantiles(3, at="x"),
+    lambda: jaxstab.shares(3, confidence=None),
     lambda: jaxstab.study(loop, over, walls=3),
     lambda: jaxstab.study(loop, over, walls={"soft": 3}),
     lambda: jaxstab.build_atlas(3, "atlas.h5"),
@@ -435,6 +437,8 @@ def test_what_is_of_another_kind_is_refused_by_its_name(tmp_path: Path) -> None:
         (
             "study is 3; give the xarray.Dataset of jaxstab.study or of its file.",
             "study is HapticLoop(",
+            "at is 'x'; give real numbers.",
+            "confidence is None; give real numbers.",
             "walls is 3; give (K, B) by the name of each wall.",
             "wall soft is 3; give its K and B.",
             "spec is 3; give a jaxstab.AtlasSpec.",

@@ -626,8 +626,17 @@ def test_a_study_says_what_it_does_not_have() -> None:
         jaxstab.quantiles(study, "radius")
     with pytest.raises(ValueError, match="confidence is 1; give a number between 0 and 1"):
         jaxstab.shares(study, confidence=1.0)
-    with pytest.raises(ValueError, match=r"at is \[2.0\]; give numbers from 0 to 1"):
+    with pytest.raises(ValueError, match=r"at is 2\.0; allowed are finite values from 0 to 1"):
         jaxstab.quantiles(study, at=[2.0])
+    drawn = jaxstab.study(LOOP, {"delay": "uniform:0:0.002"}, walls={"a": (100.0, 1.0)}, samples=3)
+    for name in ("verdict", "limits_status"):  # 1.5 would be between stable and unstable
+        with pytest.raises(ValueError, match=f"{name} has codes, not numbers"):
+            jaxstab.quantiles(drawn, name)
+    with pytest.raises(KeyError, match="limits_status is no variable of the study; it has"):
+        jaxstab.quantiles(drawn[["largest_stiffness"]])  # which tells where nothing is stable
+    for ask in (jaxstab.shares, jaxstab.quantiles):
+        with pytest.raises(ValueError, match="has no draws; let a quantity"):
+            ask(drawn.isel(sample=slice(0)))
 
 
 # The command.

@@ -37,7 +37,7 @@ from jaxstab.conventions import Verdict
 from jaxstab.loop import HapticLoop, Loop, limits_of
 from jaxstab.loop.many import ManyGainLimits
 from jaxstab.motion.settling import SettlingStatus
-from jaxstab.numbers import checked_count, checked_number
+from jaxstab.numbers import checked, checked_count, checked_number
 from jaxstab.region import RegionStatus
 from jaxstab.scene.answers import delay_notes
 from jaxstab.scene.draws import Column, draws_of, is_distribution, values_of, words_of
@@ -204,6 +204,7 @@ def shares(study: "Dataset", *, confidence: float = 0.95) -> "Dataset":
         >>> jaxstab.shares(study).share.sel(wall="stiff").values
         array([1., 0., 0.])
     """
+    confidence = checked_number("confidence", confidence)
     if not 0.0 < confidence < 1.0:
         raise ValueError(f"confidence is {confidence:g}; give a number between 0 and 1.")
     _require_table(study)
@@ -240,8 +241,8 @@ def quantiles(
         ``xarray.DataArray``, whose first dimension ``quantile`` takes the place of ``sample``.
 
     Raises:
-        KeyError: the study has no such variable. ValueError: it has no draws, or a probability is
-            not between 0 and 1.
+        KeyError: the study has no such variable. ValueError: it has no draws, it has codes, or a
+            probability is not between 0 and 1.
 
     Source: the inverse of the empirical distribution function.
 
@@ -252,16 +253,19 @@ def quantiles(
         >>> bool(low < median < high)
         True
     """
-    if not all(0.0 <= share <= 1.0 for share in at):
-        raise ValueError(f"at is {shortened(list(at))}; give numbers from 0 to 1.")
+    shares_below = np.ravel(checked("at", at, 0.0, 1.0))
     _require_table(study)
-    if variable not in study.variables:
-        names = ", ".join(map(str, study.variables))
-        raise KeyError(f"{variable} is no variable of the study; it has {names}.")
+    is_limit = str(variable).startswith("largest_")
+    for name in (variable, "limits_status")[: 1 + is_limit]:
+        if str(name) not in study.variables:
+            names = ", ".join(map(str, study.variables))
+            raise KeyError(f"{name} is no variable of the study; it has {names}.")
+    if "flag_values" in study[variable].attrs:
+        raise ValueError(f"{variable} has codes, not numbers; jaxstab.shares counts verdicts.")
     values = _drawn(study, variable).astype(np.float64).compute()
-    if variable.startswith("largest_"):
+    if is_limit:
         values = values.where(study.limits_status.compute() != RegionStatus.EMPTY, 0.0)
-    found = values.quantile([*at], SAMPLE, method="inverted_cdf", skipna=True)
+    found = values.quantile(shares_below, SAMPLE, method="inverted_cdf", skipna=True)
     return found.assign_attrs(study[variable].attrs)
 
 
@@ -302,7 +306,7 @@ def _require_table(study: Any) -> None:
 
 
 def _drawn(study: "Dataset", variable: str) -> "DataArray":
-    if SAMPLE not in study[variable].dims:
+    if not study[variable].sizes.get(SAMPLE):
         raise ValueError(
             f"{variable} has no draws; let a quantity have a distribution, such as "
             "scipy.stats.norm(300.0, 100.0)."
