@@ -402,6 +402,10 @@ loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3
 ranges = {"mass": (0.2, 0.3), "delay": (0.0, 1e-3)}
 sides = {"base": [1, -2, 1], "first": [1, 0], "second": [1, -1], "sample_time": 1.0}
 over = {"device_mass": [0.1, 0.2]}
+guard = jaxstab.build_guard(
+    loop, jaxstab.HandRange(), mass=(0.24, 0.26), delay=(1e-3, 1.1e-3), cells=(1, 1, 4),
+    constant_delay=True,
+)
 for call in (
     lambda: jaxstab.shares(3),
     lambda: jaxstab.quantiles(loop),
@@ -419,6 +423,10 @@ for call in (
     lambda: jaxstab.Loop.from_coefficients(**sides, gains=("a", "a", "b")),
     lambda: jaxstab.identify(force=None, position=[0.0], sample_time=1e-3),
     lambda: jaxstab.HapticLoop(device=loop.region(), sample_time=1e-3),
+    lambda: jaxstab.tune_for_all(loop),
+    lambda: jaxstab.open_atlas(ATLAS).plot(delay="x"),
+    lambda: guard.largest_stiffness("x", mass=0.25, delay=1e-3),
+    lambda: guard.header(3),
 ):
     try:
         call()
@@ -429,7 +437,7 @@ for call in (
 
 def test_what_is_of_another_kind_is_refused_by_its_name(tmp_path: Path) -> None:
     """In a process of its own: here annotations would refuse it."""
-    completed = run_code(OF_ANOTHER_KIND, tmp_path)
+    completed = run_code(OF_ANOTHER_KIND.replace("ATLAS", repr(str(ATLAS))), tmp_path)
     assert completed.returncode == 0, completed.stderr
     assert [*tmp_path.iterdir()] == []
     for said, words in zip(
@@ -448,6 +456,10 @@ def test_what_is_of_another_kind_is_refused_by_its_name(tmp_path: Path) -> None:
             "gains is ('a', 'a', 'b'); give two different names",
             "force is None; give real numbers.",
             "device is WallRegion",
+            "loops is HapticLoop(",
+            "delay is 'x'; give real numbers.",
+            "damping is 'x'; give real numbers.",
+            "name is 3; give at most 40 letters",
         ),
         strict=True,
     ):

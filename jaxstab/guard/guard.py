@@ -15,7 +15,7 @@ from jaxstab.boxes import HandRange
 from jaxstab.conventions import Range
 from jaxstab.guard.grid import Boundary, Grid, boundary_of, interpolated
 from jaxstab.model import LoopParameters
-from jaxstab.numbers import require_together
+from jaxstab.numbers import real_numbers, require_together
 from jaxstab.shown import printable, shortened
 
 LARGEST_HEADER = 1_000_000
@@ -103,8 +103,10 @@ class Guard:
         if not self.is_delay_constant and delay is not None:
             raise TypeError("the guard is for a delay that moves; give no delay.")
         late = self.delay[0] if delay is None else delay
-        require_together(damping=damping, mass=mass, delay=late)
-        values = np.broadcast_arrays(*(np.asarray(v, np.float64) for v in (damping, mass, late)))
+        given = {"damping": damping, "mass": mass, "delay": late}
+        require_together(**given)
+        floats = [real_numbers(*pair).astype(np.float64) for pair in given.items()]
+        values = np.broadcast_arrays(*floats)
         damping_, *place = (value.ravel() for value in values)
         ends = (self.mass, self._delays)
         inside = np.ones(damping_.shape, bool)
@@ -278,12 +280,12 @@ class Guard:
 
 def checked_name(name: str) -> str:
     """Return a name that is valid in C, or raise ValueError."""
-    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,39}", name):
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,39}", str(name)):
         raise ValueError(
             f"name is {shortened(name)}; give at most 40 letters, digits and underscores, a letter "
             "first."
         )
-    return name
+    return str(name)
 
 
 def _table(values: np.ndarray) -> str:

@@ -1,6 +1,6 @@
 """The walls of a loop that come to rest fastest, and of several loops at worst, in SI units."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from decimal import ROUND_CEILING
 from functools import lru_cache
 from math import isnan
@@ -16,7 +16,7 @@ from jaxstab.model.filters import behind_measured
 from jaxstab.model.loop import as_one
 from jaxstab.motion.settling import checked_level, likely_settling
 from jaxstab.numbers import checked_number, checked_word
-from jaxstab.shown import exact_text, number_text, text_with_bound
+from jaxstab.shown import exact_text, number_text, shortened, text_with_bound
 from jaxstab.tuning import TuningStatus
 from jaxstab.tuning.radius import Axis, Best, Values, minimised, smallest_radius, walls_of
 from jaxstab.tuning.settling import TunedLoop, shortest_settling
@@ -246,6 +246,9 @@ def tune_for_all(
         >>> max(float(loop.settling_time(*wall[:2]).value) for loop in loops) == wall.settling_time
         True
     """
+    given: Any = loops
+    if not isinstance(given, Iterable):
+        raise TypeError(f"loops is {shortened(given)}; give a list of HapticLoop.")
     if not loops:
         raise ValueError("loops is empty; give at least one loop.")
     loops = [in_floats(loop) for loop in loops]

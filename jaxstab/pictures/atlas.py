@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
+from jaxstab.numbers import checked_number
 from jaxstab.pictures.style import (
     ALPHA_LABEL,
     BETA_LABEL,
@@ -141,7 +142,8 @@ def _raster(atlas: "Atlas", gamma: float, delta: float, delay: float) -> tuple[F
     """Return alphas and betas around the stable set of a plant."""
     aside = 0.06  # around the stable set, of its size
     raster = 400  # points along each side of a plane
-    plant = [np.array([value]) for value in (gamma, delta, delay)]
+    given = {"gamma": gamma, "delta": delta, "delay": delay}
+    plant = [np.array([checked_number(name, value)]) for name, value in given.items()]
     low, high = atlas.table.ends(*plant)[0]
     if np.isnan(low):
         raise ValueError(
