@@ -299,11 +299,11 @@ def identify_servo(
     tries = [(m, 0.0, d, rest) for m in masses for d in delays]
     start = np.array(min(tries, key=lambda x: float(np.sum((moved(x) - measured) ** 2))))
     sizes = np.array([heaviest, heaviest / (risen * period), 1.0, step])
-    lowest, highest = [0.01 / risen, 0.0, 0.0, -np.inf], [10.0, 10.0, HISTORY, np.inf]
+    bounds = [0.01 / risen, 0.0, 0.0, -np.inf], [10.0, 10.0, HISTORY, np.inf]
     found = least_squares(
         lambda x: (moved(x * sizes) - measured) / step,
         start / sizes,
-        bounds=(lowest, highest),
+        bounds=bounds,
         xtol=1e-10,
         ftol=1e-12,
         gtol=None,
@@ -315,10 +315,7 @@ def identify_servo(
             f"a mass behind a delay does not fit this step: the residual is {size:g} rms of a step "
             f"of {abs(step):g}; give the servo's own gains, and set point and position in one row."
         )
-    least = 1e-6  # of the step: values that change the path by less are not determined
-    told = np.linalg.svd(found.jac, compute_uv=False)[-1] > least * sqrt(len(measured))
-    # At an end of what is tried the fit is no best one; no damping and no delay may be true.
-    if not told or np.any(found.x > np.multiply(0.99, highest)) or found.x[0] < 1.01 * lowest[0]:
+    if not _is_determined(found, *bounds):
         raise ValueError(
             f"position moves by {np.ptp(measured):g} after a step of {abs(step):g}, and does not "
             "determine inertia, damping and delay; give the rows until the servo rests again."
@@ -330,6 +327,17 @@ def identify_servo(
     none, late = Estimate(0.0, 0.0, 0.0), late.times(period, 0.0)
     every, paths = [mass, damping, none, none, none, late], (measured[None], fitted[None])
     return _identified(every, period, resolution, abs(step), (velocity, nan), *paths)
+
+
+def _is_determined(found: Any, lowest: list[Any], highest: list[Any]) -> bool:
+    """True where all values change the path, and the fit is at no end of what is tried.
+
+    But no damping and no delay may be true.
+    """
+    least = 1e-6  # of the step: a smaller change is none
+    weakest = np.linalg.svd(found.jac, compute_uv=False)[-1]
+    is_inside = found.x[0] > 1.01 * lowest[0] and np.all(found.x < np.multiply(0.99, highest))
+    return bool(is_inside and weakest > least * sqrt(found.fun.size))
 
 
 def _identified(
