@@ -16,11 +16,9 @@ x_(j+1) = Phi x_j + new u_(j-w) + old u_(j-w-1) and the polynomial whose roots a
 
 The verdict. All roots are inside the unit circle if and only if |a_0| < |a_n|, and this holds again
 for a_i - (a_0 / a_n) a_(n-i) without its constant, down to degree 0 (Schur and Cohn).
-
 The arithmetic. A number is an interval of two integers in units of 2^-bits, rounded outwards. e^X
 is (e^(X / 2^s))^(2^s), by its Taylor sum and a bound of the remainder. If a comparison is not
 decided, there are twice as many bits. One case no number of bits decides: where K = -k, p(1) is 0.
-
 What is confirmed: the verdict on each wall; and at both ends of each interval of K that K is stable
 within by a part of 1e-9, and not stable beyond. That nothing between is unstable, and that there
 are no other intervals, is not shown here.
@@ -28,14 +26,15 @@ are no other intervals, is not shown here.
 
 import json
 import sys
+from contextlib import suppress
 from fractions import Fraction
-from math import factorial
+from itertools import zip_longest
+from math import ceil, factorial, floor
 from operator import mul
 
 TOLERANCE = Fraction(1, 10**9)  # of an interval's ends
-FEWEST_BITS, MOST_BITS = 256, 8192
-FORMAT = "jaxstab wall 1"
-BAD_FILES = OSError, ValueError, KeyError, TypeError, AttributeError, ArithmeticError, RuntimeError
+BITS = 256, 512, 1024, 2048, 4096, 8192
+NUMBERS = "mass", "damping", "stiffness", "sample_time", "delay_samples"
 
 
 class Undecided(ArithmeticError):
@@ -45,24 +44,18 @@ class Undecided(ArithmeticError):
 class Real:
     """An interval of numbers: low and high in units of 2^-bits."""
 
-    bits = FEWEST_BITS
+    bits = BITS[0]
 
     def __init__(self, low, high):
         self.low, self.high = low, high
 
     @classmethod
     def of(cls, value):
-        value = Fraction(value)
-        return cls(
-            (value.numerator << cls.bits) // value.denominator,
-            -((-value.numerator << cls.bits) // value.denominator),
-        )
+        value = Fraction(value) * 2**cls.bits
+        return cls(floor(value), ceil(value))
 
     def __add__(self, other):
         return Real(self.low + other.low, self.high + other.high)
-
-    def __neg__(self):
-        return Real(-self.high, -self.low)
 
     def __sub__(self, other):
         return Real(self.low - other.high, self.high - other.low)
@@ -75,9 +68,8 @@ class Real:
         """The quotient by an interval without 0."""
         if other.low <= 0 <= other.high:
             raise Undecided
-        pairs = [
-            (a << self.bits, b) for a in (self.low, self.high) for b in (other.low, other.high)
-        ]
+        ends = self.low << self.bits, self.high << self.bits
+        pairs = [(a, b) for a in ends for b in (other.low, other.high)]
         return Real(min(a // b for a, b in pairs), -min(-a // b for a, b in pairs))
 
     def is_smaller(self, other):
@@ -96,8 +88,7 @@ def product(a, b):
 
 def exponential(matrix):
     """e^X of a matrix of fractions, in intervals."""
-    size = max(sum(map(abs, row)) for row in matrix)
-    halvings = max(0, (2 * int(size) + 2).bit_length())
+    halvings = (2 * int(max(sum(map(abs, row)) for row in matrix)) + 2).bit_length()
     scaled = [[Real.of(Fraction(x) / 2**halvings) for x in row] for row in matrix]
     unit = [[Real.of(int(i == j)) for j in range(len(matrix))] for i in range(len(matrix))]
     total, term, count = unit, unit, 0
@@ -142,9 +133,7 @@ def times(a, b):
 
 
 def plus(a, b):
-    zeros = [Real.of(0)] * abs(len(a) - len(b))
-    long, short = (a, b + zeros) if len(a) >= len(b) else (b, a + zeros)
-    return [x + y for x, y in zip(long, short)]
+    return [x + y for x, y in zip_longest(a, b, fillvalue=Real.of(0))]
 
 
 def numbers(*values):
@@ -161,28 +150,24 @@ def velocity(loop):
     above, below = numbers(-1, 1), numbers(0, 1)
     for _ in range(int(given["order"])):
         above = times(above, [Real.of(0), Real.of(1) - pole])
-        below = times(below, [-pole, Real.of(1)])
+        below = times(below, [Real.of(0) - pole, Real.of(1)])
     return above, below
 
 
 def polynomial(loop, stiffness, damping):
-    m, b, k, period = (
-        Fraction(loop[name]) for name in ("mass", "damping", "stiffness", "sample_time")
-    )
+    m, b, k, period, delay = (Fraction(loop[name]) for name in NUMBERS)
     rates = [[0, 1, 0], [-k * period**2 / m, -b * period / m, 1], [0, 0, 0]]
-    whole, part = divmod(Fraction(loop["delay_samples"]), 1)
+    whole, part = divmod(delay, 1)
     first, then = (exponential([[x * h for x in row] for row in rates]) for h in (part, 1 - part))
     (p, q), (r, s) = (row[:2] for row in product(then, first)[:2])
     new = [row[2] for row in then[:2]]
     old = [row[0] for row in product([row[:2] for row in then[:2]], [row[2:] for row in first[:2]])]
-    below = times([p * s - q * r, -(p + s), Real.of(1)], numbers(*[0] * (whole + 1), 1))
-    sides = [[q * side[1] - s * side[0], side[0]] for side in (old, new)]
-    above = plus(sides[0], times(sides[1], numbers(0, 1)))
+    below = times([p * s - q * r, Real.of(0) - p - s, Real.of(1)], numbers(*[0] * (whole + 1), 1))
+    first, later = ([q * side[1] - s * side[0], side[0]] for side in (old, new))
+    above = plus(first, times(later, numbers(0, 1)))
     rate_above, rate_below = velocity(loop)
-    wall = plus(
-        times(numbers(stiffness * period**2 / m), rate_below),
-        times(numbers(damping * period / m), rate_above),
-    )
+    spring, damper = numbers(stiffness * period**2 / m), numbers(damping * period / m)
+    wall = plus(times(spring, rate_below), times(damper, rate_above))
     return plus(times(below, rate_below), times(above, wall))
 
 
@@ -190,14 +175,10 @@ def is_stable(loop, stiffness, damping):
     """Whether a wall is stable; proved."""
     if stiffness + Fraction(loop["stiffness"]) == 0:  # nothing holds the position
         return False
-    Real.bits = FEWEST_BITS
-    while True:
-        try:
+    for Real.bits in BITS:  # of all intervals
+        with suppress(Undecided):
             return has_roots_inside(polynomial(loop, stiffness, damping))
-        except Undecided:
-            if Real.bits >= MOST_BITS:
-                raise
-            Real.bits *= 2
+    raise Undecided
 
 
 def has_roots_inside(p):
@@ -210,26 +191,18 @@ def has_roots_inside(p):
 
 
 def checked(loop):
-    """A loop; ValueError if it is another than that of the model, or larger than jaxstab allows."""
-    of_wall, given = loop["velocity"], {name: x for name, x in loop.items() if name != "velocity"}
-    if {*given} != {"mass", "damping", "stiffness", "sample_time", "delay_samples"}:
-        raise ValueError(f"the loop has the keys {', '.join(loop)}")
-    if {*of_wall} not in ({"window_samples"}, {"cutoff", "order"}):
-        raise ValueError(f"the velocity has the keys {', '.join(of_wall)}")
-    values = {name: Fraction(x) for name, x in {**given, **of_wall}.items()}
-    m, b, k, period, delay = (
-        values[name] for name in ("mass", "damping", "stiffness", "sample_time", "delay_samples")
-    )
-    counts = [values[name] for name in ("window_samples", "order") if name in values]
-    for is_right, words in (
-        (m > 0 and period > 0 and values.get("cutoff", 1) > 0, "mass, sample_time and cutoff > 0"),
-        (min(b, k, delay) >= 0, "damping, stiffness and delay_samples >= 0"),
-        (min(counts) >= 1 and all(x == int(x) for x in counts), "whole samples and orders >= 1"),
-        (max(delay, *counts) <= 500, "at most 500 samples"),
-        (max(b * period, k * period**2) <= 10**4 * m, "b T/m and k T^2/m of at most 10^4"),
+    """A loop; ValueError if it is of another kind, or larger than jaxstab allows."""
+    own = {name: Fraction(value) for name, value in loop["velocity"].items()}
+    if {*loop} != {"velocity", *NUMBERS} or {*own} not in (
+        {"window_samples"},
+        {"cutoff", "order"},
     ):
-        if not is_right:
-            raise ValueError(f"the loop is of another kind; this program takes {words}")
+        raise ValueError("the loop has other keys than one mass and its estimator")
+    m, b, k, period, delay = (Fraction(loop[name]) for name in NUMBERS)
+    count, cutoff = own.get("window_samples", own.get("order")), own.get("cutoff", 1)
+    is_right = min(m, period, cutoff) > 0 and min(b, k, delay) >= 0 and max(delay, count) <= 500
+    if not is_right or not count == int(count) >= 1 or max(b, k * period) * period > 10**4 * m:
+        raise ValueError("the loop has a number that is negative, too large or not whole")
     return loop
 
 
@@ -239,8 +212,7 @@ def claims(file):
         stiffness, damping = Fraction(wall["stiffness"]), Fraction(wall["damping"])
         expected = {"stable": True, "unstable": False}[wall["verdict"]]
         yield f"{name}: {wall['verdict']}", stiffness, damping, expected
-        for low, high in wall["stiffness_intervals"]:
-            low, high = Fraction(low), Fraction(high)
+        for low, high in (map(Fraction, ends) for ends in wall["stiffness_intervals"]):
             aside = TOLERANCE * max(abs(low), abs(high))
             if high - low <= 2 * aside:
                 raise ValueError(f"{name}: the interval from {low} to {high} is empty")
@@ -254,18 +226,17 @@ def main(path):
     try:
         with open(path, encoding="utf-8") as stream:
             file = json.load(stream)
-        if file["format"] != FORMAT:
-            raise ValueError(f"format is {file['format']!r}; this program reads {FORMAT!r}")
+        if file["format"] != "jaxstab wall 1":
+            raise ValueError(f"format is {file['format']!r}; this program reads 'jaxstab wall 1'")
         loop, asked, refused = checked(file["loop"]), list(claims(file)), 0
         for words, stiffness, damping, expected in asked:
             try:
-                is_right = is_stable(loop, stiffness, damping) == expected
-                answer = "confirmed" if is_right else "REFUSED"
+                answer = ("REFUSED", "confirmed")[is_stable(loop, stiffness, damping) == expected]
             except Undecided:
                 answer = "NOT DECIDED"
             refused += answer != "confirmed"
             print(f"{words}: {answer}")
-    except BAD_FILES as error:
+    except Exception as error:  # noqa: BLE001, a file may be wrong in any way
         print(f"{path}: {type(error).__name__}: {error}", file=sys.stderr)
         return 2
     print(f"{len(asked) - refused} of {len(asked)} claims confirmed")
@@ -273,7 +244,7 @@ def main(path):
 
 
 if __name__ == "__main__":
-    if len(sys.argv) == 2 and sys.argv[1] != "--help":
-        sys.exit(main(sys.argv[1]))
-    print(__doc__)
-    sys.exit(0 if sys.argv[1:] == ["--help"] else 2)
+    if len(sys.argv) != 2 or sys.argv[1] == "--help":
+        print(__doc__)
+        sys.exit(0 if len(sys.argv) == 2 else 2)
+    sys.exit(main(sys.argv[1]))

@@ -5,7 +5,7 @@ have their extremes at the corners of the ranges of mass and hand, for they are 
 
 A certificate has the numbers of one loop as exact fractions, and of each wall its verdict and
 between which stiffnesses, at its damping, walls are stable: proved here (``exact``), and confirmed
-by a program of 280 lines without jaxstab, data/check/check_wall.py. It reads loops of one mass with
+by a program of 250 lines without jaxstab, data/check/check_wall.py. It reads loops of one mass with
 the difference over a window or first-order low passes, which is what most software has.
 """
 
