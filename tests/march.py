@@ -6,6 +6,7 @@ import numpy as np
 import scipy.linalg
 import scipy.signal
 
+from benchmarks.truth import devices
 from jaxstab import HapticLoop
 
 # Loops whose delays are multiples of a fine step.
@@ -98,6 +99,15 @@ def march_through_filters(
         mass, delay, wall, velocity, position, samples,
         push=push, start=np.array(start), unilateral=unilateral,
     )  # fmt: skip
+
+
+def arriving(drawn: devices.Drawn) -> np.ndarray:
+    """The states of a device whose body and arm move at velocity 1; its modes are at rest."""
+    states = np.zeros(drawn.mechanism.system().a.rows)
+    states[1] = 1.0
+    if drawn.hand is not None and drawn.hand[3] is not None:
+        states[2 * (1 + len(drawn.modes)) + 1] = 1.0
+    return states
 
 
 def march_of_plant(

@@ -11,7 +11,7 @@ from campaign import many
 from programs_in_c import READER, hdf5_options
 
 HERE = Path(__file__).parent
-SECONDS = many(900, small=20)
+SECONDS = many(900, small=10)
 
 
 @pytest.fixture(scope="module")

@@ -232,7 +232,7 @@ def test_no_sequence_of_delays_makes_a_wall_grow_that_a_header_grants(tmp_path: 
 @pytest.mark.campaign
 def test_of_208_requests_none_grows(tmp_path: Path) -> None:
     """Clamped for constant delays and asked with the delay 0, 88 did."""
-    requests = many(208, 64)
+    requests = many(208, 40)
     for given in ({}, {"lost": 1}):
         moving = build_guard(LIGHT, HandRange(), **RANGES, **given, cells=(1, 1, many(16, 4)))
         assert grown(moving, tmp_path, "", requests) == 0

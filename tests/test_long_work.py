@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from atlases import write_small
+from campaign import many
 
 # In a process of its own: the checks of shapes and dtypes would be most of the work here.
 QUERIES_SCRIPT = """
@@ -31,14 +32,14 @@ def ask(count):
     return sys.getallocatedblocks()
 
 before = ask(500)
-print(ask(10_000) - before)
+print(ask(int(sys.argv[2])) - before)
 """
 
 
 @pytest.mark.campaign
-def test_ten_thousand_queries_leak_nothing(tmp_path: Path) -> None:
+def test_thousands_of_queries_leak_nothing(tmp_path: Path) -> None:
     completed = subprocess.run(
-        [sys.executable, "-c", QUERIES_SCRIPT, str(write_small(tmp_path))],
+        [sys.executable, "-c", QUERIES_SCRIPT, str(write_small(tmp_path)), str(many(10_000, 3000))],
         capture_output=True,
         text=True,
         check=False,

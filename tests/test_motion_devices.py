@@ -9,6 +9,7 @@ import scipy.linalg
 from march import (
     Plant,
     Taps,
+    arriving,
     difference_taps,
     low_pass_taps,
     march_of_plant,
@@ -55,15 +56,6 @@ def plant_of(drawn: devices.Drawn) -> Plant:
     hand = np.zeros(len(a))
     hand[: handle.b.rows] = np.array(handle.b.tolist(), float).ravel()
     return Plant(a * PERIOD, wall.ravel() * PERIOD, hand * PERIOD, c.ravel())
-
-
-def arriving(drawn: devices.Drawn) -> np.ndarray:
-    """The states of a device whose body and arm move at velocity 1; its modes are at rest."""
-    states = np.zeros(len(plant_of(drawn).c))
-    states[1] = 1.0
-    if drawn.hand is not None and drawn.hand[3] is not None:
-        states[2 * (1 + len(drawn.modes)) + 1] = 1.0
-    return states
 
 
 def settled_since(position: np.ndarray, final: float, band: float) -> int:

@@ -13,6 +13,7 @@ from counts import note
 from march import (
     Plant,
     Taps,
+    arriving,
     butterworth_taps,
     difference_taps,
     low_pass_taps,
@@ -147,7 +148,7 @@ def settled_in_simulation(one: Ordinary, excitation: str, samples: int) -> tuple
         one.position,
         samples,
         push=1.0 if excitation == "force" else 0.0,
-        start=np.zeros(len(a)) if excitation == "force" else plant.hand,
+        start=np.zeros(len(a)) if excitation == "force" else arriving(drawn),
     )
     positions = states @ plant.c
     if excitation == "force":
