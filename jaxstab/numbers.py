@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxstab.arrays import Array, Numbers, is_jax, is_traced
+from jaxstab.arrays import Numbers, is_jax, is_traced
 from jaxstab.conventions import Range
 from jaxstab.shown import shortened
 
@@ -73,13 +73,13 @@ def checked(
     return in_doubles(value) if is_jax(value) else floats
 
 
-def in_doubles(value: Array) -> Array:
-    """A JAX array or tracer in float64: what is computed in less is of another loop.
+def in_doubles(value: Any) -> Any:
+    """A JAX array or tracer in float64, all else as it is: computed in less it is of another loop.
 
     Numbers of Python, such as a sampling period, do not widen an array of JAX that they multiply.
     """
-    is_number = value.dtype.kind not in "bc" and value.dtype != np.float64
-    return value.astype(float) if is_number else value  # in float32 still, where x64 is off
+    is_less = is_jax(value) and value.dtype.kind not in "bc" and value.dtype != np.float64
+    return value.astype(float) if is_less else value  # in float32 still, where x64 is off
 
 
 def real_numbers(name: str, value: Any) -> np.ndarray[Any, np.dtype[Any]]:

@@ -187,7 +187,8 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
     from jaxstab.tables import value_of, with_value
 
     chosen: dict[str, dict[str, Any]] = {}
-    for option, (section, entry) in _keys().items():
+    entries = _keys()
+    for option, (section, entry) in entries.items():
         if given.get(option) is not None:
             chosen.setdefault(section, {})[entry.name] = given[option]
     if "velocity" in chosen:  # in place of all that the file says
@@ -219,7 +220,7 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
             if "delay" not in key or (value == "constant" and not lost)
         }
     merged |= {name: merged.get(name, {}) | keys for name, keys in chosen.items()}
-    options = {f"{section}.{entry.name}": option for option, (section, entry) in _keys().items()}
+    options = {f"{section}.{entry.name}": option for option, (section, entry) in entries.items()}
     for name, value in given.get("lines", {}).items():
         option = options.get(name.removeprefix("controller.") if "velocity" in name else name, "")
         option = "rate" if option == "sample_time" and rate is not None else option

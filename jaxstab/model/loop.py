@@ -85,9 +85,8 @@ class LoopParameters:
                 require_x64(value)
             if not (value is None or is_traced(value)):
                 number = checker(name, value, least, is_open=is_open)
-                object.__setattr__(self, name, value if is_jax(value) else number)
-            if is_jax(value):
-                object.__setattr__(self, name, in_doubles(value))
+                value = value if is_jax(value) else number
+            object.__setattr__(self, name, in_doubles(value))
         is_one = not self.shape  # which refuses arrays that do not broadcast
         if not is_any_traced(self.delay, self.sample_time):
             samples = self.delay_samples
@@ -285,7 +284,7 @@ class LoopParameters:
         loop = object.__new__(cls)
         names = (*_LEAST, "velocity", "position", "_whole_delay", "device")
         for name, value in zip(names, (*parts, *fixed), strict=True):
-            object.__setattr__(loop, name, in_doubles(value) if is_jax(value) else value)
+            object.__setattr__(loop, name, in_doubles(value))
         return loop
 
     @property

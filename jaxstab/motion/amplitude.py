@@ -140,8 +140,8 @@ def amplitude(
         >>> round(float(bounds.position), 2)
         1.03
     """
-    require_together(alpha=alpha, beta=beta, gamma=gamma, delta=delta, delay=delay)
     sizes = {"encoder": encoder, "force_step": force_step, "friction": friction, "noise": noise}
+    require_together(alpha=alpha, beta=beta, gamma=gamma, delta=delta, delay=delay, **sizes)
     gains = float_arrays(checked_gain("alpha", alpha), checked_gain("beta", beta))
     lanes = *gains, *float_arrays(checked_gamma(gamma), checked_delta(delta)), checked_delay(delay)
     loop_of = unit_loops(velocity, position)
@@ -161,7 +161,6 @@ def _answered(
 
     ValueError if the sizes that are given are all 0.
     """
-    require_together(**given)
     sizes = float_arrays(*(checked(name, value, 0.0) for name, value in given.items()))
     if not any(is_traced(size) or np.any(size) for size in sizes):
         raise ValueError(f"{', '.join(given)} are all 0; give what disturbs the loop.")
@@ -197,7 +196,7 @@ def loop_amplitude(
     the handle, behind the actuators; an amplifier's steps come before them. ValueError also if the
     device has zero DC gain.
     """
-    require_together(stiffness=stiffness, damping=damping)
+    require_together(stiffness=stiffness, damping=damping, **sizes)
     gains = float_arrays(checked_gain("stiffness", stiffness), checked_gain("damping", damping))
     controller = controller_for(given_filters(**loop.filters))
     samples = gains[0], gains[1] / loop.sample_time

@@ -134,8 +134,8 @@ def loop_settling_samples(
 ) -> Settling:
     """Count the samples until a loop in plain numbers is settled; see ``settling_samples``.
 
-    All is in SI units. The hand pushes or strikes at the handle, behind the actuators. ValueError
-    also if the device has zero DC gain.
+    All is in SI units. The hand acts at the handle, behind the actuators. ValueError also if the
+    device has zero DC gain.
     """
     require_together(stiffness=stiffness, damping=damping)
     gains = float_arrays(checked_gain("stiffness", stiffness), checked_gain("damping", damping))

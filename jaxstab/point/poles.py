@@ -70,9 +70,9 @@ def evaluate_grid(
         >>> sum(int((codes == jaxstab.Verdict.STABLE).sum()) for _, codes in parts)
         558
     """
-    shape = require_together(alpha=alpha, beta=beta, gamma=gamma, delta=delta, delay=delay)
-    checked_count("chunk", chunk, 1)
     given = by_name(alpha, beta, gamma, delta, delay)
+    shape = require_together(**given)
+    checked_count("chunk", chunk, 1)
     arguments = [real_numbers(name, value).astype(np.float64) for name, value in given.items()]
     total = math.prod(shape)
 
