@@ -74,9 +74,10 @@ def checked(
 
 
 def in_doubles(value: Any) -> Any:
-    """A JAX array or tracer in float64, all else as it is: computed in less it is of another loop.
+    """Return a JAX array or tracer in float64, and anything else as it is.
 
-    Numbers of Python, such as a sampling period, do not widen an array of JAX that they multiply.
+    In a lower precision the numbers would be those of another loop: numbers of Python, such as a
+    sampling period, do not widen an array of JAX that they multiply.
     """
     is_less = is_jax(value) and value.dtype.kind not in "bc" and value.dtype != np.float64
     return value.astype(float) if is_less else value  # in float32 still, where x64 is off
