@@ -426,22 +426,15 @@ def test_31_27_a_scene_is_written_whole_or_not_at_all(
     assert run("scene", "init", "-o", "new.toml").exit_code == 2
 
 
-def test_31_26_angles_in_a_table_are_divided_too(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_31_26_many_angles_are_divided(monkeypatch: pytest.MonkeyPatch) -> None:
     """A design that tried long delays recurred without end: one row of angles was never halved."""
-    asked = []
-
-    def kept(*arguments: Any, **options: Any) -> Any:
-        asked.append((arguments, options))
-        return others_inside(*arguments, **options)
-
-    monkeypatch.setattr("jaxstab.region.pieces.others_inside", kept)
-    window = Velocity.difference(5)
-    HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3, velocity=window).region()
-    (c, _), options = asked[0]
+    loop = HapticLoop(
+        device_mass=0.25, device_damping=0.1, sample_time=1e-3, velocity=Velocity.difference(5)
+    )
+    c = loop.region().region.curve
     theta = np.linspace(0.01, 3.0, 40)
-    whole = others_inside(c, theta, **options)
-    monkeypatch.setattr("jaxstab.region.pieces._AT_ONCE", 4 * c.degree)
-    table = others_inside(c, theta[None], **options)
-    assert table.shape == (1, *theta.shape)
+    whole = others_inside(c, theta)
+    for at_once in (4 * c.degree, 1):
+        monkeypatch.setattr("jaxstab.region.pieces._AT_ONCE", at_once)
+        assert (others_inside(c, theta) == whole).all()
     assert 0 < whole.sum() < whole.size
-    assert (table[0] == whole).all()

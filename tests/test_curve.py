@@ -13,6 +13,7 @@ from benchmarks.truth import filtered
 from benchmarks.truth.balls import BallLoop
 from benchmarks.truth.filtered import FilteredLoop, average, difference
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop, long_window
+from jaxstab import HapticLoop
 from jaxstab.conventions import Verdict
 from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.exact.line import stable_line
@@ -28,7 +29,7 @@ from jaxstab.region.curve import (
     is_oriented,
     true_angles,
 )
-from jaxstab.region.pieces import find_pieces, scan_angles
+from jaxstab.region.pieces import Passes, find_pieces, scan_angles
 
 ANGLES = np.concatenate([np.linspace(0.05, 1.5, 7), np.linspace(1.65, 3.05, 7)])
 LOOPS = range(1, 25)
@@ -199,7 +200,7 @@ def test_regions_between_lines_are_resolved_and_hold_the_walls_that_certified_ro
 def test_pieces_do_not_close_to_a_loop_if_the_scan_misses_one_of_them(number: int) -> None:
     c, balls = drawn(number)
     angles = scan_angles(c, np.empty((0, 2)))
-    pieces = find_pieces(c, angles)
+    pieces = find_pieces(c, angles, Passes(c))
     assert not pieces.open.size
     assert sorted(pieces.successor) == list(range(len(pieces.begin))) != [0]
     for begin, end in zip(pieces.begin, pieces.end, strict=True):
@@ -207,7 +208,23 @@ def test_pieces_do_not_close_to_a_loop_if_the_scan_misses_one_of_them(number: in
             if 0.0 < abs(theta) < np.pi:
                 assert np.sum(np.abs(np.abs(roots_at(balls, theta)) - 1.0) < 1e-5) >= 3
         others = angles[(angles < begin) | (angles > end)]
-        assert find_pieces(c, others).open.size
+        assert find_pieces(c, others, Passes(c)).open.size
+
+
+def test_arcs_follow_one_another_through_all_branches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each branch has one narrow arc, which only the end of the one before it tells of."""
+    monkeypatch.setattr("jaxstab.region.region.drawn_out", None)  # no closer look
+    samples = 100
+    loop = HapticLoop(
+        device_mass=1.0,
+        device_damping=0.5933166153714116,
+        sample_time=1.0,
+        hand_stiffness=11.084119017092815,
+        velocity=Velocity.difference(samples),
+    )
+    region = loop.region()
+    assert region.status == RegionStatus.COMPLETE
+    assert len(region.corners) > samples
 
 
 def roots_at(balls: BallLoop, theta: float) -> np.ndarray:

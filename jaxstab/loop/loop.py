@@ -108,8 +108,8 @@ class HapticLoop(LoopParameters, TwoGains):
         """The set of all stable walls, in its connected parts.
 
         It takes some hundredths of a second, with a window of more than 100 samples half a second,
-        and minutes where float64 does not resolve it: such a window and a device that swings at
-        half of the sampling rate.
+        ten where a device swings at half of the sampling rate besides, and minutes where float64
+        does not resolve it.
 
         Args:
             tolerance: largest distance between the outline and the boundary, as a share of the

@@ -122,7 +122,7 @@ def survey(c: Curve, pieces: Pieces) -> Survey:
     """Look where pieces bend and turn."""
     count = 81  # per piece, to see where it bends and turns
     first = np.geomspace(1e-6, 1e-2, 5)  # of a piece: where a curve with zero speed starts
-    aside = 1e-8  # of the same
+    aside, few = 1e-8, 24  # of the same; places that are looked at in any case
     # At th = 0 and pi the curve has zero speed: look beside.
     beside = aside * (pieces.end - pieces.begin)[:, None]
     begin, end = pieces.begin[:, None] + beside, pieces.end[:, None] - beside
@@ -132,7 +132,11 @@ def survey(c: Curve, pieces: Pieces) -> Survey:
     shares = (np.arange(count // 4) + 0.5) / (count // 4)
     poles = np.stack([c.poles, np.full(len(c.poles), aside)])
     angle, apart = np.concatenate([poles, c.resonances], axis=1)
-    for place, width in zip(np.append(angle, -angle), np.tile(apart, 2), strict=True):
+    places, widths = np.append(angle, -angle), np.tile(apart, 2)
+    away = np.maximum(np.maximum(begin - places, places - end), 0.0)
+    close = max(few, int(np.max(np.sum(away < end - begin, axis=1))))  # others leave a piece even
+    for nearest in np.argsort(away, axis=1, kind="stable")[:, :close].T:
+        place, width = places[nearest, None], widths[nearest, None]
         low, high = (np.arcsinh((limit - place) / width) for limit in (begin, end))
         nodes.append(np.clip(place + width * np.sinh(low + (high - low) * shares), begin, end))
     ordered = np.sort(np.concatenate(nodes, axis=1), axis=1)

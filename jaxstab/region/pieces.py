@@ -14,7 +14,7 @@ such an end the angle of the second pair on the circle tells where the arc that 
 
 from collections.abc import Iterator
 from enum import IntEnum
-from functools import cache, partial
+from functools import cache
 from itertools import product
 from math import comb, nan
 from typing import NamedTuple
@@ -95,14 +95,14 @@ class Pieces(NamedTuple):
 
 
 # ----------------------------------------------------------------------- the angles of a scan
-def scan_angles(c: Curve, centers: Centers, *, is_proved: bool = False) -> Angles:
+def scan_angles(c: Curve, centers: Centers, *, with_balls: bool = False) -> Angles:
     """Return angles, more of them around poles, resonances and given centres; see ``curve``.
 
     Where the other roots are counted in balls, angles come closer to ends that are proved.
     """
     per_turn, fewest, per_branch = 8, 500, 20  # even angles: of a turn of z^n, and of a branch
     to_ends = 12  # angles that come closer and closer
-    to_poles, to_proved = 1e-11, 1e-14 if is_proved else 1e-9  # how close
+    to_poles, to_proved = 1e-11, 1e-14 if with_balls else 1e-9  # how close
     count = max(per_turn * c.degree, fewest, per_branch * (len(c.poles) + 1))
     step = np.pi / count
     even = step * (np.arange(count) + 0.5)
@@ -148,32 +148,51 @@ def _around_resonances(c: Curve) -> Angles:
 
 
 # ------------------------------------------------------------------------ the other roots of p
-def others_inside(c: Curve, theta: Array, *, is_proved: bool = False) -> Array:
+def others_inside(c: Curve, theta: Angles, *, with_balls: bool = False) -> Bool[np.ndarray, " _"]:
     """Return where all roots of p but those at e^(+-i theta) lie inside of the circle.
 
-    In float64, or proved by balls, which takes a thousand times as long.
+    In float64, or by balls where that is not clear, which takes a thousand times as long.
 
     Source: the criterion of Schur and Cohn, as a recursion for the polynomial and its reverse.
     """
     if theta.size * c.degree > _AT_ONCE and theta.size > 1:
-        chunks = np.array_split(theta.ravel(), -(-theta.size * c.degree // _AT_ONCE))
-        every = [others_inside(c, chunk, is_proved=is_proved) for chunk in chunks]
-        return np.concatenate(every).reshape(theta.shape)
-    angles = np.abs(theta.ravel())
+        chunks = np.array_split(theta, -(-theta.size * c.degree // _AT_ONCE))
+        return np.concatenate([others_inside(c, chunk, with_balls=with_balls) for chunk in chunks])
+    angles = np.abs(theta)
     true = true_angles(c, angles)
     alpha, beta = curve_gains(c, angles)
     terms = c.ends[..., None] * np.stack([np.ones_like(alpha), alpha, beta])
-    slack = -UNIT if is_proved else UNIT
+    slack = -UNIT if with_balls else UNIT
     inside = np.all(np.sum(terms, axis=1) > 16 * slack * np.sum(abs(terms), axis=1), axis=0)
     base, stiffness, damping = c.parts[:, :-2, None]
     falling = base + (stiffness * alpha[inside] + damping * beta[inside])
     inside[inside] = fits = _may_be_stable(falling)
-    if is_proved:
-        inside[inside] = balls_inside(c.loop, *(x[inside] for x in true))
-    else:
-        pair = 2.0 * np.cos(true[0][inside] + true[1][inside])
-        inside[inside] = all_inside(without_pair(falling[:, fits], pair))
-    return inside.reshape(theta.shape)
+    pair = 2.0 * np.cos(true[0][inside] + true[1][inside])
+    others = without_pair(falling[:, fits], pair)
+    answers = all_inside(others)
+    if with_balls:
+        doubted = ~_is_clear(others)
+        answers[doubted] = balls_inside(c.loop, *(x[inside][doubted] for x in true))
+    inside[inside] = answers
+    return inside
+
+
+class Passes:
+    """Where all other roots lie inside, for angles of which each is asked once."""
+
+    def __init__(self, c: Curve, *, with_balls: bool = False) -> None:
+        self.c, self.with_balls = c, with_balls
+        self.asked, self.answers = np.empty(0), np.empty(0, bool)
+
+    def __call__(self, theta: Array) -> Array:
+        """Return where they do; see ``others_inside``."""
+        new = np.setdiff1d(theta, self.asked)
+        if new.size:
+            place = np.searchsorted(self.asked, new)
+            own = others_inside(self.c, new, with_balls=self.with_balls)
+            self.asked = np.insert(self.asked, place, new)
+            self.answers = np.insert(self.answers, place, own)
+        return self.answers[np.searchsorted(self.asked, theta)]
 
 
 def without_pair(falling: Array, total: Array, product: Array | float = 1.0) -> Array:
@@ -224,6 +243,23 @@ def all_inside(falling: Array, radius: Array | float = 1.0) -> Bool[np.ndarray, 
     return passes
 
 
+def _is_clear(falling: Array) -> Bool[np.ndarray, " polynomial"]:
+    """Return where rounding is far from changing the answer of ``all_inside``.
+
+    That is not proved: what is lost grows by each step, about as 1 over 1 less the reflection.
+    """
+    far = 1e4  # times that; of 7,000 hostile polynomials none was wrong beyond 12
+    lost = np.full(falling.shape[1], len(falling) ** 2 * UNIT)
+    is_clear, is_open = np.ones(lost.shape, bool), np.ones(lost.shape, bool)
+    while len(falling) > 1 and np.any(is_open):
+        falling, reflection = _lowered(falling)
+        apart = np.abs(1.0 - np.abs(reflection))
+        lost = lost / apart
+        is_clear &= ~is_open | (apart > far * lost)
+        is_open &= is_clear & (np.abs(reflection) < 1.0)
+    return is_clear
+
+
 def _lowered(falling: Array) -> tuple[Array, Array]:
     reflection = falling[-1] / falling[0]
     return falling[:-1] - reflection * falling[:0:-1], reflection
@@ -243,21 +279,18 @@ class _Ends(NamedTuple):
 
 
 @np.errstate(all="ignore")  # NaN and infinity are answers
-def find_pieces(c: Curve, angles: Angles, *, is_proved: bool = False) -> Pieces:
+def find_pieces(c: Curve, angles: Angles, inside: Passes) -> Pieces:
     """Return the arcs that angles in (-pi, pi), in order, find, and how they join.
-
-    ``is_proved``: the other roots are counted in balls.
 
     Source: the D-decomposition of Gryazina, Polyak, Tremba (2008), with the criterion of Schur and
     Cohn for the other roots.
     """
-    return _joined(c, _arc_ends(c, angles, is_proved=is_proved))
+    return _joined(c, _arc_ends(c, angles, inside))
 
 
-def _arc_ends(c: Curve, angles: Angles, *, is_proved: bool) -> _Ends:
-    inside = partial(others_inside, c, is_proved=is_proved)
-    rounds, parts = (26, 2) if is_proved else (6, 32)  # of the brackets of ends
-    nothing = 0.0 if is_proved else 3e-11  # radians: shorter arcs and gaps are rounding
+def _arc_ends(c: Curve, angles: Angles, inside: Passes) -> _Ends:
+    rounds, parts = (26, 2) if inside.with_balls else (6, 32)  # of the brackets of ends
+    nothing = 0.0 if inside.with_balls else 3e-11  # radians: shorter arcs and gaps are rounding
     passes = inside(angles)
     branch = np.searchsorted(np.concatenate([-c.poles[::-1], [0.0], c.poles]), angles)
     goes_on = passes[:-1] & passes[1:] & (branch[:-1] == branch[1:])
@@ -273,9 +306,11 @@ def _arc_ends(c: Curve, angles: Angles, *, is_proved: bool) -> _Ends:
     enough = 0.1 * nothing
     shares = np.arange(1.0, parts)[:, None] / parts
     # Poles end arcs, too.
-    for pole in np.concatenate([c.poles, -c.poles]):
-        is_between = (np.minimum(inner, outer) < pole) & (pole < np.maximum(inner, outer))
-        outer = np.where(is_between, pole, outer)
+    limits = np.concatenate([-c.poles[::-1], c.poles])
+    if limits.size:
+        nearest = np.searchsorted(limits, inner) - np.repeat([1, 0], len(begins))
+        pole = limits[np.clip(nearest, 0, len(limits) - 1)]
+        outer = np.where((pole - inner) * (pole - outer) < 0.0, pole, outer)
     for _ in range(rounds if len(inner) else 0):
         width = inner - outer
         if np.max(np.abs(width)) < enough:
@@ -296,25 +331,33 @@ def _arc_ends(c: Curve, angles: Angles, *, is_proved: bool) -> _Ends:
 
 
 def second_pairs(c: Curve, theta: Angles) -> Angles:
-    """Return the angles of the second pairs on the circle at ends of arcs, by eigenvalues.
+    """Return the angles of the second pairs on the circle at ends of arcs: arcs begin there.
 
-    Arcs begin there. NaN where none is found. Angles are not drawn out, and of very many ends only
-    some are asked.
+    NaN where none is found. Angles are not drawn out. Newton's method begins at all even angles
+    that are about as close to a root as to each other.
     """
-    about, work = 1e-6, 2e8  # what rounding may move roots by; operations for eigenvalues
-    found = np.full(len(theta), nan)
-    asked = theta[: int(work / c.degree**3)]
-    walls = np.vstack([np.ones(len(asked)), curve_gains(c, asked)])
+    about = 1e-6  # what rounding may move roots by
+    per_root, steps = 4, 6  # even angles, and of Newton's method
+    walls = np.vstack([np.ones(len(theta)), curve_gains(c, theta)])
     finite = np.flatnonzero(np.all(np.isfinite(walls), axis=0))
-    companions = np.tile(np.eye(c.degree, k=-1), (len(finite), 1, 1))
-    companions[:, 0] = -(walls[:, finite].T @ c.parts)[:, 1:]
-    z = np.linalg.eigvals(companions)
-    aside = np.abs(np.abs(z) - 1.0)
-    is_other = (z.imag > 0.0) & (np.abs(np.angle(z) - asked[finite, None]) > about)
-    aside = np.where(is_other & (aside < about), aside, np.inf)
-    nearest = np.argmin(aside, axis=1)[:, None]
-    told = np.take_along_axis(np.angle(z), nearest, axis=1)[:, 0]
-    found[finite] = np.where(np.isfinite(np.min(aside, axis=1, initial=np.inf)), told, nan)
+    falling = walls[:, finite].T @ c.parts
+    count = per_root * c.degree
+    orders = np.arange(c.degree, -1.0, -1.0)
+    p, turned = (np.fft.rfft(x[:, ::-1], 2 * count) for x in (falling, falling * orders))
+    end, place = np.nonzero(np.abs(p) * count < np.pi * np.abs(turned))
+    z, own = np.exp(1j * np.pi / count * place), falling[end].T
+    for _ in range(steps):
+        value, slope = own[0].astype(complex), np.zeros_like(z)
+        for coefficient in own[1:]:
+            slope = slope * z + value
+            value = value * z + coefficient
+        z = z - value / slope
+    aside, angle = np.abs(np.abs(z) - 1.0), np.angle(z)
+    is_other = (angle > 0.0) & (np.abs(angle - theta[finite[end]]) > about) & (aside < about)
+    aside = np.where(is_other, aside, np.inf)
+    found, order = np.full(len(theta), nan), np.argsort(-aside, kind="stable")
+    order = order[is_other[order]]
+    found[finite[end[order]]] = angle[order]  # the closest one of each comes last
     return found
 
 

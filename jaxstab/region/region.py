@@ -12,9 +12,9 @@ the middle of each edge the other roots are asked for (``_cut_through``). Where 
 the roots that meet at their ends tell where others begin, and the scan is repeated from arc to arc.
 Where that is not enough, or a line has other intervals, the angles of the roots that cross the
 circle on such lines tell where to look closer: from the third time on the other roots are counted
-in balls, and these angles are drawn out (``curve``), for an arc may be narrower than float64 tells
-two angles apart. A region that fails to the end is UNRESOLVED and claims nothing. What is not
-proved is that no island was missed between angles and rows.
+in balls where float64 is not clear, and these angles are drawn out (``curve``), for an arc may be
+narrower than float64 tells two angles apart. A region that fails to the end is UNRESOLVED and
+claims nothing. What is not proved is that no island was missed between angles and rows.
 """
 
 from collections.abc import Iterable
@@ -39,6 +39,7 @@ from jaxstab.region.curve import Curve, curve_gains, curve_of, drawn_out, true_a
 from jaxstab.region.outline import Outline, empty_outline, polygon, survey
 from jaxstab.region.pieces import (
     Centers,
+    Passes,
     Pieces,
     find_pieces,
     line_ends,
@@ -63,12 +64,12 @@ def region_of(loop: ScaledLoop, tolerance: float) -> StableRegion:
     c = curve_of(loop)
     if _keeps_a_root(loop):
         return region_within(c, empty_outline(resolved=True))
-    centers, is_proved, lines = np.empty((0, 2)), bool(c.stretches), _Lines(loop)
+    centers, with_balls, lines = np.empty((0, 2)), bool(c.stretches), _Lines(loop)
     for scan in range(scans):
-        is_proved = is_proved or scan >= proved
+        with_balls = with_balls or scan >= proved
         if scan >= proved:
             c = drawn_out(c, np.concatenate([_inner(line_ends(c)), centers]))
-        pieces, centers = _followed(c, centers, is_proved=is_proved)
+        pieces, centers = _followed(c, centers, with_balls=with_balls)
         more: Centers | None = np.empty((0, 2))
         if pieces.open.size:
             more = _angles_beside(lines, pieces.open)
@@ -79,29 +80,30 @@ def region_of(loop: ScaledLoop, tolerance: float) -> StableRegion:
                 more = _cut_through(c, lines, outline)
             if more is not None and not len(more):
                 return region_within(c, outline)
-        elif is_proved:
+        elif with_balls:
             more = _angles_of_rays(lines)
             if more is not None and not len(more):
                 return region_within(c, empty_outline(resolved=True))
         else:
-            is_proved = True
+            with_balls = True
         if more is None:
             break
         centers = np.concatenate([centers, more])
     return region_within(c, empty_outline(resolved=False))
 
 
-def _followed(c: Curve, centers: Centers, *, is_proved: bool) -> tuple[Pieces, Centers]:
+def _followed(c: Curve, centers: Centers, *, with_balls: bool) -> tuple[Pieces, Centers]:
     """Return the pieces that scans find, and the centres with those that arcs told of.
 
     As long as a scan in float64 finds more arcs for them, it is repeated, some times. Where each
     finds several times as many, they are rounding: rows tell then.
     """
-    known, scans, most = 1e-7, 8, 100  # radians: a centre is there; centers
-    arcs = -1
+    known, most = 1e-7, 100  # radians: a centre is there; centers
+    scans = 8 + len(c.poles)  # each finds the next arc, and hardly two of them are of one branch
+    arcs, inside = -1, Passes(c, with_balls=with_balls)
     for _ in range(scans):
-        pieces = find_pieces(c, scan_angles(c, centers, is_proved=is_proved), is_proved=is_proved)
-        if is_proved or not pieces.lone.size or len(pieces.begin) <= arcs:
+        pieces = find_pieces(c, scan_angles(c, centers, with_balls=with_balls), inside)
+        if with_balls or not pieces.lone.size or len(pieces.begin) <= arcs:
             break
         told = second_pairs(c, pieces.lone)
         away = np.min(np.abs(told[:, None] - centers[:, 0]), axis=1, initial=np.inf)
@@ -234,7 +236,7 @@ def _cut_through(c: Curve, lines: _Lines, outline: Outline) -> Centers:
     doubted = theta[~others_inside(c, theta)]
     few = np.linspace(0, len(doubted) - 1, min(most, len(doubted))).astype(int)
     some = doubted[few]
-    cut = some[~others_inside(c, some, is_proved=True)]
+    cut = some[~others_inside(c, some, with_balls=True)]
     rows = [_inner(lines.at(1, beta).crossings) for beta in curve_gains(c, cut)[1].tolist()]
     return np.concatenate([np.stack(true_angles(c, np.abs(cut)), axis=1), *rows])
 
