@@ -471,6 +471,45 @@ def test_54_an_algebraic_loop_has_no_verdict() -> None:
         loop.region()
 
 
+THIRDS = {"base": [Fraction(1, 3), 1, 0], "first": [Fraction(-2, 3), 0, 0], "second": [1]}
+
+
+@pytest.mark.parametrize(
+    ("loop", "gains"),
+    [
+        (jaxstab.Loop.from_coefficients(**THIRDS, sample_time=1.0), {"a": 0.5, "b": 0.1}),
+        (robot(1e4, 1e-3, 4), {"mass": 0.0, "damping": 50.0}),
+    ],
+)
+def test_a_root_at_infinity_is_no_stable_loop(loop: jaxstab.Loop, gains: dict[str, float]) -> None:
+    """p = z + 0.1 where the gain takes z^2/3 from it: next to there a root is far outside."""
+    name, value = next(iter(gains.items()))
+    assert loop.verdict(**gains) == Verdict.UNDECIDED
+    radius = loop.spectral_radius(**gains)
+    assert np.isnan(radius.value)
+    assert radius.error == np.inf
+    assert np.all(np.isnan(loop.poles(**gains)))
+    assert not loop.intervals(**{name: value}).intervals
+    beside = [gains | {name: value + side} for side in (-1e-9, 1e-9)]
+    assert all(loop.verdict(**pair) == Verdict.UNSTABLE for pair in beside)
+    assert all(loop.spectral_radius(**pair).value > 100.0 for pair in beside)
+
+
+def test_gains_along_which_no_root_moves_are_answered() -> None:
+    """p = z - 1/2 + a - b and p = a z + (1 + b)(z - 1/2)."""
+    alike = jaxstab.Loop.from_coefficients(base=[1, -0.5], first=[1], second=[-1], sample_time=1.0)
+    margins = alike.margins(a=0.25, b=0.25)
+    assert margins.both_factors.tolist() == [0.0, np.inf]
+    assert margins.first.tolist() == pytest.approx([-0.25, 1.75])
+    same = jaxstab.Loop.from_coefficients(
+        base=[1, -0.5], first=[1, 0], second=[1, -0.5], sample_time=1.0
+    )
+    ends = [(low.value, high.value) for low, high in same.intervals(b=-1.0).intervals]
+    assert ends == [(-np.inf, 0.0), (0.0, np.inf)]  # p = a z
+    with pytest.raises(ValueError, match="one of them does not act"):
+        same.limits()
+
+
 REFUSALS = [
     (lambda: joint(integrator="rk4"), "not affine in the gains"),
     (lambda: joint(integrator="euler"), "integrator is"),

@@ -63,7 +63,8 @@ class LineStatus(Status):
     PROVED = 1, "all stable intervals of the line, proved"
     UNDECIDED = (
         2,
-        "3,072 bits do not tell all crossings of the circle, or the counts between them",
+        "3,072 bits do not tell all crossings of the circle, or the counts between them, or the "
+        "leading coefficient vanishes all along the line: the loop is algebraic",
     )
     MEASURED = 3, MEASURED
 
@@ -145,10 +146,11 @@ def stable_line(
         [(0.0, 35324.95892...)]
     """
 
-    def line() -> tuple[Factored, Factored]:
+    def line() -> tuple[Factored, Factored] | None:
         parts = triple()
         q = parts.stiffness.scaled(along[0]).plus(parts.damping.scaled(along[1]))
-        return parts.at(*start), q
+        p0 = parts.at(*start)
+        return (p0, q) if max(p0.degree, q.degree) == parts.degree else None
 
     return stable_pencil(line, first_bits)
 
@@ -206,8 +208,10 @@ class _Line(NamedTuple):
         p0 = p0.without_windows()
         if q.order_at_minus_one > q.at_minus_one and p0.at_minus_one:
             q = q.without_windows()
-        shared = [min(counts) for counts in zip(p0[1:4], q[1:4], strict=True)]
-        return cls(p0.divided(*shared), q.divided(*shared), sum(shared[1:]))
+        known = (part[1:4] for part in (p0, q) if not part.is_zero)
+        shared = [min(counts) for counts in zip(*known, strict=True)]
+        p0, q = (part if part.is_zero else part.divided(*shared) for part in (p0, q))
+        return cls(p0, q, sum(shared[1:]))
 
     def at(self, t: "arb | float") -> "arb_poly":
         return self.p0.polynomial() + self.q.polynomial() * t
@@ -266,6 +270,8 @@ def real_quotient_angles(p0: Factored, q: Factored) -> "list[arb] | None":
 def _crossings(line: _Line, *, is_last_try: bool) -> tuple[list[Crossing], float] | None:
     """All crossings, in any order, and how far out the line was looked at; None for more bits."""
     p0, q, _ = line
+    if p0.is_zero or q.is_zero:  # no t moves a root; t = 0 may leave nothing of p
+        return [Crossing(arb(0), arb("nan"), None)] * p0.is_zero, inf
     turn = p0.at_one - q.at_one
     places = zeros(_cosines_of(p0, q), is_last_try=is_last_try)
     if places is None:
@@ -327,7 +333,7 @@ def _cosines_of(p0: Factored, q: Factored) -> "list[arb]":
         return [sums.get(w, arb(0)) for w in range(0, max(sums) + 1, 2)]
     total, rising = arb(0), []
     others = arb(0)  # terms of k of the other parity
-    for w in range(max(sums), 0, -2):
+    for w in range(max(sums, default=0), 0, -2):
         k = w // 2  # sin(k theta), sin or cos((k + 1/2) theta)
         here = sums.get(w, arb(0))
         # sin(k theta) = sin(theta) (2 cos((k - 1) theta) + 2 cos((k - 3) theta) + ...)

@@ -71,12 +71,15 @@ def spectral_radius(triple: TripleAt, stiffness: float, damping: float) -> Radiu
     """The largest modulus of the poles of the wall (K, B)."""
 
     def largest() -> Number | None:
-        roots = isolated_roots(triple().at(stiffness, damping))
+        p = _polynomial(triple, stiffness, damping)
+        roots = p and isolated_roots(p)
         return None if roots is None else _largest_modulus(roots)
 
-    number = decided(largest, most=MOST_FOR_ROOTS) or decided(
-        lambda: _radius_between(triple().at(stiffness, damping))
-    )
+    def between() -> Number | None:
+        p = _polynomial(triple, stiffness, damping)
+        return p and _radius_between(p)
+
+    number = decided(largest, most=MOST_FOR_ROOTS) or decided(between)
     if number is None:
         return Radius(np.nan, np.inf, RadiusStatus.NO_BOUND)
     return Radius(*number, RadiusStatus.PROVED)
@@ -91,9 +94,12 @@ def rough_radius(triple: TripleAt, stiffness: float, damping: float) -> float:
 
 def poles(triple: TripleAt, stiffness: float, damping: float) -> Poles:
     """All poles of the wall (K, B), those at z = 0 included."""
-    found = decided(
-        lambda: real_or_not(isolated_roots(triple().at(stiffness, damping))), most=MOST_FOR_ROOTS
-    )
+
+    def told() -> "list[tuple[acb, bool]] | None":
+        p = _polynomial(triple, stiffness, damping)
+        return p and real_or_not(isolated_roots(p))
+
+    found = decided(told, most=MOST_FOR_ROOTS)
     if found is None:
         return Poles(np.full(triple().degree, complex(np.nan, np.nan)), np.inf)
     values, error = [], 0.0
@@ -106,6 +112,13 @@ def poles(triple: TripleAt, stiffness: float, damping: float) -> Poles:
             error = max(error, real.error + imaginary.error)
     values.sort(key=abs, reverse=True)
     return Poles(np.array(values, np.complex128), error * (1.0 + 2.0**-50))
+
+
+def _polynomial(triple: TripleAt, stiffness: float, damping: float) -> Factored | None:
+    """p(z) of a wall; None where its leading coefficient vanishes: a root is at infinity."""
+    parts = triple()
+    p = parts.at(stiffness, damping)
+    return p if p.degree == parts.degree else None
 
 
 def isolated_roots(p: Factored) -> "list[acb] | None":

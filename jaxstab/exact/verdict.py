@@ -95,10 +95,11 @@ def wall_verdict(
 def affine_verdict(parts: AffineParts, first: float, second: float) -> Verdict:
     """The verdict on two gains of a loop, in fractions where balls leave it open."""
     answer = wall_verdict(partial(affine_triple, parts), first, second)
-    if answer.status == VerdictStatus.UNDECIDED:
-        exact = parts.polynomial(first, second)
-        return answer.verdict if exact is None else rational_verdict(exact)
-    return answer.verdict
+    is_open = answer.status == VerdictStatus.UNDECIDED
+    exact = parts.polynomial(first, second) if is_open else None
+    if exact is None or exact.degree() < max(part.degree() for part in parts.rational() or ()):
+        return answer.verdict
+    return rational_verdict(exact)
 
 
 def rational_verdict(p: "fmpq_poly") -> Verdict:

@@ -559,5 +559,5 @@ def _units(chart: AffineParts) -> tuple[float, float]:
     with working_precision(128):
         _, *sides = affine_triple(chart).monic()
         sizes = [sum(abs(float(c.mid())) for c in side.polynomial().coeffs()) for side in sides]
-    first, second = (2.0 ** -round(float(np.log2(size))) for size in sizes)
+    first, second = (2.0 ** -round(float(np.log2(size or 1.0))) for size in sizes)
     return first, second
