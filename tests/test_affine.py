@@ -393,6 +393,14 @@ def test_54_the_least_damping_of_an_admittance_may_be_that_of_no_mass(rule: str)
     assert np.all(loop.verdict(mass=light, damping=0.9999 * damping.value) == Verdict.UNSTABLE)
 
 
+@pytest.mark.parametrize(("environment", "period"), [(1e4, 1e-3), (109.719, 5e-4), (21342.3, 2e-3)])
+def test_the_least_mass_is_0_where_no_mass_is_needed(environment: float, period: float) -> None:
+    """Without a mass D (z - 1) + Ke T is left of p(z), stable for D > Ke T/2."""
+    mass = robot(environment, period, 0, rule="backward").limits().first
+    assert mass.value == 0.0
+    assert mass.at == pytest.approx(environment * period / 2.0)
+
+
 def test_54_an_admittance_without_delay_needs_a_mass_and_no_damping() -> None:
     """M > T D/2 + Ke T^2/4 in closed form."""
     limits = jaxstab.admittance(1e4, sample_time=1e-3).limits()

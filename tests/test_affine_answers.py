@@ -6,6 +6,7 @@ and growth.
 
 import numpy as np
 import pytest
+import recursions
 from affine_kinds import KINDS, Case, is_stable_exactly, judged, judged_regions
 from campaign import many
 from scipy.signal import lfilter
@@ -341,6 +342,39 @@ def test_54_limits_where_gains_move_the_leading_coefficient_are_those_of_a_grid(
                 ends = [high.value for _, high in line.intervals]  # none at some corners
                 assert not ends or pytest.approx(limit.value) in ends
     assert compared > 10
+
+
+@pytest.mark.parametrize(
+    ("environment", "period", "late", "rule", "least"),
+    [
+        (23389.95501664326, 2e-3, 4, "explicit", (0.11633, 76.68)),  # at the tips of two tongues
+        (324.915, 5e-4, 4, "forward", (1.0459e-4, 0.0)),  # an edge that ends at damping 0
+        (372.978, 5e-4, 15, "backward", (0.0, 0.0)),
+    ],
+)
+def test_the_least_gains_beside_a_stiff_virtual_spring_are_those_of_recursions(
+    environment: float, period: float, late: int, rule: str, least: tuple[float, float]
+) -> None:
+    given = {"sample_time": period, "delay_samples": late, "stiffness": 2.0 * environment}
+    limits = jaxstab.admittance(environment, rule=rule, **given).limits()
+    first, second = limits[:2]
+    assert (first.value, second.value) == pytest.approx(least, rel=3e-4)
+    wide, near = 10.0 ** np.linspace(-1.0, 1.5, 60), np.linspace(0.99, 1.01, 60)
+    of_mass, of_damping = environment * period**2, environment * period
+    corners = [
+        (of_mass, of_damping, wide),
+        (first.value or 1e-6 * of_mass, first.at, near),
+        (second.at, second.value or 1e-6 * of_damping, near),
+    ]
+    for mass, damping, shares in corners:
+        places = np.array([(mass * m, damping * d) for m in shares for d in shares])
+        steps = [
+            recursions.admittance(m, d, environment=environment, rule=rule, **given)
+            for m, d in places
+        ]
+        stable = places[np.abs(np.linalg.eigvals(np.array(steps))).max(axis=-1) < 1.0]
+        assert len(stable) > 20
+        assert np.all(stable >= [first.value, second.value])
 
 
 def test_54_equal_undamped_devices_are_unresolved_and_no_error() -> None:

@@ -365,11 +365,17 @@ class Loop(TwoGains):
         best = gains[(np.argmin if is_least else np.argmax)(gains[:, axis])].copy()
         if not np.all(np.isfinite(best)):
             return best
-        row = self.intervals(**{self.gains[1 - axis].name: float(best[1 - axis])})
-        ends = [low if is_least else high for low, high in row.intervals]
-        values = [end.value if end.value > end.error else 0.0 for end in ends]
-        if values:  # at a corner the row may have none
-            best[axis] = min(values, key=lambda value: abs(value - best[axis]))
+        found = []
+        for side in (0.0, -1e-12, 1e-12, -1e-8, 1e-8, -1e-5, 1e-5, -1e-3, 1e-3):
+            place = best[1 - axis] * (1.0 + side)  # at a corner the row may miss its interval
+            for ends in self.intervals(**{self.gains[1 - axis].name: float(place)}).intervals:
+                end = ends[0 if is_least else 1]
+                value = end.value if end.value > end.error else 0.0
+                found.append((abs(value - best[axis]), value, place))
+            if found and min(found)[0] <= 1e-6 * best[axis]:
+                break
+        if found:
+            best[axis], best[1 - axis] = min(found)[1:]
         return best
 
     def margins(self, **gains: Numbers) -> GainMargins:
