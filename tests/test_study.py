@@ -136,6 +136,13 @@ def test_an_answer_that_is_wanted_twice_is_given_once() -> None:
     assert list(study.sizes) == ["delay"]
 
 
+def test_one_answer_needs_no_list() -> None:
+    study = jaxstab.study(LOOP, {"delay": [0.0, 1e-3]}, answers="limits")
+    assert set(study.data_vars) >= {"largest_stiffness", "largest_damping"}
+    with pytest.raises(ValueError, match=r"answers\.limit is unknown; did you mean 'limits'"):
+        jaxstab.study(LOOP, {"delay": [0.0, 1e-3]}, answers="limit")
+
+
 def test_a_table_has_named_dimensions_units_codes_and_what_it_is_of() -> None:
     opened = small()
     assert dict(opened.sizes) == {"device_mass": 2, "sample": 60, "wall": 2}

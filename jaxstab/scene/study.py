@@ -145,8 +145,8 @@ def study(
             a list of values, (low, high, count), a frozen distribution of ``scipy.stats``, or a
             text such as "0.1:0.5:20", "csv:hands.csv:stiffness" or "normal:300:100". Lists span a
             grid; distributions are drawn together, ``samples`` times at each of its points.
-        answers: of "limits", "verdict", "margins", "settling_time", "spectral_radius"; all but the
-            first are of walls. By default limits, and verdicts if there are walls.
+        answers: one or more of "limits", "verdict", "margins", "settling_time", "spectral_radius";
+            all but the first are of walls. By default limits, and verdicts if there are walls.
         walls: stiffness and damping in SI units by name; those of the scene by default.
         samples: the number of draws; by default 10,000, or as many as take about a minute.
         seed: of the draws, a whole number >= 0.
@@ -504,6 +504,7 @@ def _wanted(
 ) -> tuple[str, ...]:
     """Return the answers that are wanted, checked, each once."""
     wanted = answers or ("limits", *(["verdict"] if gains else []))
+    wanted = [wanted] if isinstance(wanted, str) else wanted
     check_keys("answers", map(str, wanted), [*known])
     of_walls = [name for name in wanted if name != "limits"]
     if of_walls and not gains:
