@@ -402,6 +402,7 @@ loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3
 ranges = {"mass": (0.2, 0.3), "delay": (0.0, 1e-3)}
 sides = {"base": [1, -2, 1], "first": [1, 0], "second": [1, -1], "sample_time": 1.0}
 over = {"device_mass": [0.1, 0.2]}
+arm = jaxstab.Device.mass_spring_damper(0.25)
 guard = jaxstab.build_guard(
     loop, jaxstab.HandRange(), mass=(0.24, 0.26), delay=(1e-3, 1.1e-3), cells=(1, 1, 4),
     constant_delay=True,
@@ -427,6 +428,7 @@ for call in (
     lambda: jaxstab.open_atlas(ATLAS).plot(delay="x"),
     lambda: guard.largest_stiffness("x", mass=0.25, delay=1e-3),
     lambda: guard.header(3),
+    lambda: jaxstab.coupling(arm, arm, sample_time=1e-3, delays_samples=1),
 ):
     try:
         call()
@@ -460,6 +462,7 @@ def test_what_is_of_another_kind_is_refused_by_its_name(tmp_path: Path) -> None:
             "delay is 'x'; give real numbers.",
             "damping is 'x'; give real numbers.",
             "name is 3; give at most 40 letters",
+            "delays_samples is 1; give one delay for each device.",
         ),
         strict=True,
     ):

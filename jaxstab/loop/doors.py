@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from jaxstab.loop.affine import Loop
 from jaxstab.loop.gains import Gain
 from jaxstab.model import LoopParameters
@@ -247,7 +249,7 @@ def coupling(
     for name, device in (("first", first), ("second", second)):
         require_kind(name, device, Device)
     period = checked_number("sample_time", sample_time, 0.0, is_open=True, unit="s")
-    if len(delays_samples) != 2:
+    if np.shape(delays_samples) != (2,):
         raise ValueError(f"delays_samples is {delays_samples}; give one delay for each device.")
     delays = [
         checked_number("delays_samples", delay, 0.0, LONGEST_DELAY) for delay in delays_samples
