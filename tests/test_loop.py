@@ -175,6 +175,39 @@ def test_arrays_broadcast() -> None:
     assert WINDOW.stiffness_limits(damping).shape == (3, 2)
 
 
+@pytest.mark.parametrize("velocity", [None, Velocity.difference(samples=4)])
+@pytest.mark.parametrize(
+    ("spring", "damping"), [(0.0, 0.1), (0.0, 0.0), (5e-324, 0.1), (700.0, 5.0)]
+)
+def test_verdicts_of_many_are_those_of_one_or_undecided(
+    velocity: Velocity | None, spring: float, damping: float
+) -> None:
+    """K T^2/m that is 0 in float64, or rounded past -k T^2/m, gave other verdicts."""
+    loop = HapticLoop(
+        device_mass=0.3, device_damping=damping, hand_stiffness=spring, sample_time=1e-3,
+        velocity=velocity,
+    )  # fmt: skip
+    sizes = [0.0, 5e-324, 2e-319, 1e-310, 1e-300, 1e-100, 1.0, 1e150]
+    near = -spring + np.arange(-9.0, 10.0) * np.spacing(spring)
+    stiffness, damping_of_wall = (
+        np.append(sizes, near)[:, None],
+        np.array([-1e-310, 0.0, *sizes[1:]]),
+    )
+    one = np.array([[loop.verdict(k, b) for b in damping_of_wall] for k in stiffness[:, 0]], int)
+    for gains in (stiffness, jnp.asarray(stiffness)):
+        many = np.asarray(loop.verdict(gains, damping_of_wall))
+        assert np.isin(many[many != one], Verdict.UNDECIDED).all()
+        assert np.mean(many == one) > 0.1
+
+
+@pytest.mark.parametrize(
+    "fields", [{"sample_time": 1e-160, "delay": 0.0}, {"device_mass": [1.0, 1e305]}]
+)
+def test_loops_whose_units_lose_digits_are_refused(fields: Any) -> None:
+    with pytest.raises(ValueError, match=r"sample_time is .* give SI units"):
+        replace(OMEGA, **fields)
+
+
 MANY = replace(WINDOW, device_mass=np.array([[0.2], [0.3]]), delay=[0.0, 1e-3, 1.5e-3])
 
 

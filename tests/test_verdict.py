@@ -55,6 +55,17 @@ def test_no_verdict_is_wrong_however_close_to_the_boundary(
             assert set(codes) <= {true, Verdict.UNDECIDED}, (a, b, gamma, delta, delay, codes, true)
 
 
+@pytest.mark.parametrize("gamma", [0.0, 1e-310])
+@pytest.mark.parametrize("alpha", [5e-324, 1e-310, -1e-309])
+def test_tiny_numbers_that_xla_takes_for_0_are_undecided(alpha: float, gamma: float) -> None:
+    """XLA said of 1e-310, which is stable, that p(1) is 0: UNSTABLE."""
+    plant: dict[str, Any] = {"gamma": gamma, "delta": 0.01, "delay": 1.0}
+    assert verdict(alpha, 0.1, **plant) == (Verdict.STABLE if alpha > 0 else Verdict.UNSTABLE)
+    traced = jax.jit(lambda a: verdict(a, 0.1, **plant))
+    for many in (verdict(np.full(1 << 18, alpha), 0.1, **plant), traced(jnp.full(3, alpha))):
+        assert np.all(np.asarray(many) == Verdict.UNDECIDED)
+
+
 def test_reciprocals_are_right_to_two_roundings(rng: np.random.Generator) -> None:
     x = 2.0 ** rng.uniform(-960.0, 960.0, 3000)
     for number, inverse in zip(x.tolist(), rounded_reciprocal(jnp.array(x)).tolist(), strict=True):

@@ -244,7 +244,7 @@ class Loop(TwoGains):
         grid = self._few(pair)
         if grid is not None:
             return self._verdicts(grid)
-        codes = self._on_grid("verdict", pair)
+        codes = self._codes(pair)
         if is_jax(codes):
             return named(codes, Verdict)
         codes, grid = np.array(codes), wall_grid(**pair)

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 
 from jaxstab import motion, point
-from jaxstab.arrays import Array, Numbers, is_any_jax, named
+from jaxstab.arrays import Array, Numbers, is_any_jax, is_any_traced, named, namespace
 from jaxstab.conventions import RadiusStatus, Verdict
 from jaxstab.exact import poles, spectral_radius, stable_line, wall_verdict
 from jaxstab.model.parameters import wall_grid
@@ -61,6 +61,7 @@ class TwoGains:
 
     _by_place: ClassVar[bool] = False
     _delay_margin: ClassVar[Any] = None  # of pairs of gains, beside that of whole samples
+    _spring: Any = (0.0, 0.0)  # what holds the device beside the first gain; the same in units
     shape: Any = ()
     if TYPE_CHECKING:
         gains: Any
@@ -322,6 +323,21 @@ class TwoGains:
     def _on_grid(self, question: str, pair: Mapping[str, Any], **options: Any) -> Any:
         """The answer of ``jaxstab.point`` to many gains."""
         return _ON_GRIDS[question](*self._in_units(*pair.values()), self._pairs, **options)
+
+    def _codes(self, pair: Mapping[str, Any], **options: Any) -> Any:
+        """Verdicts on many gains; UNDECIDED where float64, in units, changes the sign of p(1)."""
+        codes = self._on_grid("verdict", pair, **options)
+        if self._only_few:  # JAX traces gains that are not those of the chart
+            return codes
+        first, _ = pair.values()
+        alpha, (spring, gamma) = self._in_units(first, 0.0)[0], self._spring
+        if not is_any_traced(first, alpha, spring):  # JAX would take tiny numbers for 0
+            first, alpha, spring, gamma = map(np.asarray, (first, alpha, spring, gamma))
+        xp = namespace(first, alpha, spring)
+        is_lost = (first + spring > 0.0) != (alpha + gamma > 0.0)
+        if xp is np and not np.any(is_lost):
+            return codes
+        return namespace(codes, is_lost).where(is_lost, np.int8(Verdict.UNDECIDED), codes)
 
     def _frequency_margins(self, first: Numbers, second: Numbers) -> "FrequencyMargins":
         from jaxstab.loop.frequency import wall_frequency_margins

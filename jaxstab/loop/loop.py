@@ -502,7 +502,7 @@ class HapticLoop(LoopParameters, TwoGains):
         grid = self._few(pair)
         if grid is not None:
             return self._verdicts(grid)
-        return named(self._on_grid("verdict", pair, resolve=resolve), Verdict)
+        return named(self._codes(pair, resolve=resolve), Verdict)
 
     def margins(self, stiffness: Numbers, damping: Numbers) -> "Margins":
         """The changes of stiffness, damping and delay, each alone, up to the loss of stability.
@@ -865,6 +865,10 @@ class HapticLoop(LoopParameters, TwoGains):
     @property
     def _scale(self) -> tuple[float, float]:
         return self.stiffness(1.0), self.damping(1.0)
+
+    @property
+    def _spring(self) -> tuple[Numbers, Numbers]:
+        return (self.body.stiffness, self.gamma) if self.body else (0.0, 0.0)
 
     @property
     def _delay_margin(self) -> Any:

@@ -101,6 +101,7 @@ class LoopParameters:
             whole = {int(samples)} if np.ndim(samples) == 0 else set(samples.astype(int).flat)
             if len(whole) == 1:
                 object.__setattr__(self, "_whole_delay", whole.pop())
+        self._refuse_tiny_units()
         given_filters(self.velocity, self.position)
         is_one = is_one or is_traced(self.sample_time)
         periods = [self.sample_time] if is_one else np.unique(self.sample_time).tolist()
@@ -144,6 +145,19 @@ class LoopParameters:
             raise TypeError(
                 f"{given[0]} is given beside device; a device has its own mass and damping, and is "
                 "held by device.held_by(jaxstab.Hand...): give one or the other."
+            )
+
+    def _refuse_tiny_units(self) -> None:
+        """Refuse one mass whose gains lose digits in float64 when they are made dimensionless."""
+        least = 2.0**-900  # that of ``gain_units``
+        body = self.body
+        if body is None or is_any_traced(body.mass, self.sample_time):
+            return
+        period, mass = float(np.min(self.sample_time)), float(np.max(body.mass))
+        if min(period, period * period) / max(mass, 1.0) < least:
+            raise ValueError(
+                f"sample_time is {period:g} s for a mass of {mass:g} kg, which float64 does not "
+                "hold without dimensions; give SI units."
             )
 
     @property
@@ -196,12 +210,12 @@ class LoopParameters:
     @property
     def gamma(self) -> Numbers:
         """Dimensionless physical stiffness k T^2/m, eq. (12)."""
-        return self._one_body.stiffness * self.sample_time**2 / self.mass
+        return self._one_body.stiffness * (self.sample_time**2 / self.mass)
 
     @property
     def delta(self) -> Numbers:
         """Dimensionless physical damping b T/m, eq. (12)."""
-        return self._one_body.damping * self.sample_time / self.mass
+        return self._one_body.damping * (self.sample_time / self.mass)
 
     @property
     def linear(self) -> LinearLoop:

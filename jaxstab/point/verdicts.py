@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Int8, Int64
 
-from jaxstab.arrays import Array, Numbers, is_any_traced, named, namespace, tree_map
+from jaxstab.arrays import Array, Numbers, bits, is_any_traced, named, namespace, tree_map
 from jaxstab.batches import MANY, TILE, compiled, lists, over_tiles
 from jaxstab.conventions import Verdict
 from jaxstab.exact import wall_verdict
@@ -277,8 +277,18 @@ def _ends(alpha: Array, beta: Array, gamma: Array, plant: Plant, degree: int | A
     wall = plant.difference * gain
     error = UNIT * (2.0 * abs(plant.at_minus_one) + 5.0 * abs(wall))
     error = error + plant.error * (8.0 + plant.size * abs(gain)) + UNDERFLOW
-    # N(1) > 0, and the sign of a sum of two is exact.
-    return Ends(alpha + gamma, 0.0, plant.at_minus_one - wall, error)
+    return Ends(alpha + gamma, _sum_error(alpha, gamma), plant.at_minus_one - wall, error)
+
+
+def _sum_error(alpha: Array, gamma: Array) -> Array | float:
+    """0 where the sign of alpha + gamma is that of p(1): N(1) > 0, and of two the sum is exact."""
+    xp = namespace(alpha, gamma)
+    if xp is np:
+        return 0.0
+    # XLA takes the tiniest numbers for 0, which their bits tell, and 0 itself is exact.
+    most, least = np.iinfo(np.int64).max, bits(np.array(UNDERFLOW)).astype(np.uint64)
+    tiny = [((bits(x) & most) - 1).astype(np.uint64) < least for x in (alpha, gamma)]
+    return xp.where(tiny[0] | tiny[1], UNDERFLOW, 0.0)
 
 
 # The verdict of the five numbers: points of a grid go to the kernels by their delays.
