@@ -438,3 +438,27 @@ def test_31_26_many_angles_are_divided(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("jaxstab.region.pieces._AT_ONCE", at_once)
         assert (others_inside(c, theta) == whole).all()
     assert 0 < whole.sum() < whole.size
+
+
+@pytest.mark.parametrize(
+    ("command", "option", "users"),
+    [
+        *(
+            (name, (option, "1"), "check, contact")
+            for name in ("limits", "study", "guard", "tune")
+            for option in ("--push", "--speed", "--friction")
+        ),
+        ("guard", ("--json",), "limits, check, contact, tune, design, joints, region"),
+        ("guard", ("--csv", "-"), "limits, check, contact, tune, design, study, joints"),
+    ],
+)
+def test_an_option_that_changes_nothing_is_refused_with_who_has_it(
+    command: str, option: tuple[str, ...], users: str
+) -> None:
+    """limits, study, guard, tune and design took --push, --speed and --friction without effect."""
+    answer = run(command, *option)
+    assert answer.exit_code == 2
+    assert_one_sentence(answer.stderr)
+    assert f"No such option '{option[0]}'" in answer.stderr
+    assert answer.stderr.endswith(f"It is an option of {users}.\n")
+    assert option[0] not in run(command, "--help").stdout.split()

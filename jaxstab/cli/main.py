@@ -88,7 +88,16 @@ class OneSentence(click.Group):
             raise _NoReader from error
 
     def _missing(self, error: click.ClickException) -> str:
-        """The names of the values of an option that has too few: click says how many it takes."""
+        """The values of an option that has too few, or who has one that this command lacks."""
+        if isinstance(error, click.NoSuchOption):
+            users = [
+                name
+                for name, command in self.commands.items()
+                if any(
+                    error.option_name in x.opts for x in command.get_params(click.Context(command))
+                )
+            ]
+            return f" It is an option of {', '.join(users)}." if users else ""
         if not isinstance(error, click.BadOptionUsage):
             return ""
         for command in self.commands.values():

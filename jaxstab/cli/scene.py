@@ -58,17 +58,22 @@ def _keys() -> dict[str, tuple[str, Field[Any]]]:
 
 
 class SceneCommand(click.Command):
-    """A command with the keys of a scene as options; of the table [wanted] only some.
+    """A command with the keys of a scene as options; of [wanted] some, of a contact if it has one.
 
     They are made when it is called: jaxstab --help and other commands do not import scenes.
     """
 
     def __init__(
-        self, *given: Any, wanted: Sequence[str] = (), describes: bool = True, **options: Any
+        self,
+        *given: Any,
+        wanted: Sequence[str] = (),
+        describes: bool = True,
+        simulates: bool = False,
+        **options: Any,
     ) -> None:
-        """Take the keys of [wanted], and whether those of the other tables are options."""
+        """Take the keys of [wanted], and whether the others, and those of contacts, are options."""
         super().__init__(*given, **options)
-        self.wanted, self.describes = wanted, describes
+        self.wanted, self.describes, self.simulates = wanted, describes, simulates
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """Return arguments and options."""
@@ -76,6 +81,7 @@ class SceneCommand(click.Command):
             _option(name, section, entry)
             for name, (section, entry) in _keys().items()
             if (name in self.wanted if section == "wanted" else self.describes)
+            and (self.simulates or not (section == "contact" or name == "friction"))
         ]
         return [*made, *super().get_params(ctx)]
 
@@ -419,7 +425,7 @@ def limits(as_json: bool, in_full: bool, islands: bool, **given: Any) -> int:
     return _answer(given, "limits", as_json, shown, "inertia" if is_asked else None)
 
 
-@click.command(cls=SceneCommand, wanted=["frequency"])
+@click.command(cls=SceneCommand, wanted=["frequency"], simulates=True)
 @scene_options
 @_plot_option
 @click.option("--all", "in_full", is_flag=True, help="Print everything, as --json does.")
@@ -446,7 +452,7 @@ def check(as_json: bool, in_full: bool, certificate: Path | None, **given: Any) 
     return _answer(given, "check", as_json, shown, in_full=not is_short)
 
 
-@click.command(cls=SceneCommand)
+@click.command(cls=SceneCommand, simulates=True)
 @scene_options
 @_plot_option
 @file_option(
@@ -632,7 +638,7 @@ def explore(file: Path | None, output: Path) -> None:
 
 
 @click.command(cls=SceneCommand)
-@scene_options
+@mechanics_options
 @file_option("-o", "--output", required=True, help="Header file; its name begins all names in it.")
 @click.option(
     "--cells",
@@ -640,7 +646,7 @@ def explore(file: Path | None, output: Path) -> None:
     help="Cells along mass, delay and damping: powers of two.",
 )
 @plot_option("PNG or SVG file of the limits.")
-def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
+def guard(output: Path, plot: Path | None, **given: Any) -> None:
     """Write a C header that clamps K and B to what is proved stable, for a running loop.
 
     It is for the ranges of the scene, such as --mass 0.22:0.28 --delay 0.0008:0.0012. Of one mass
@@ -650,8 +656,8 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
     Its walls are proved for every sequence of the delays; with --constant-delay for delays that do
     not change during contact, and the function takes the delay.
     """
-    if len(given["files"]) > 1 or given["csv_file"] or as_json:
-        raise click.UsageError("a guard is for one scene; give one FILE, and no --csv or --json.")
+    if len(given["files"]) > 1:
+        raise click.UsageError("a guard is for one scene; give one FILE.")
     lost = given.pop("lost_samples") or 0  # beside one delay of the scene, too
     scene = scene_of(given)
     warn(*scene.unusual())
