@@ -400,7 +400,7 @@ def test_gains_with_an_inertia_are_a_wall() -> None:
     assert "least inertia" not in shown.stdout
 
 
-SCENE = ["data/scenes/omega.toml", "--wall", "1000", "15"]
+SCENE = ["data/scenes/omega.toml", "--gains", "1000", "15"]
 SIMULATOR = "data/scenes/gains/simulator.toml"
 
 
@@ -452,7 +452,7 @@ def test_design_says_what_a_wall_needs_for_every_hand(asked: str, needed: str) -
 def test_further_intervals_of_an_inertia_are_called_so() -> None:
     device = ["--inertia", "1", "--damping", "0.02", "--hand-stiffness", "5", "--delay", "0"]
     timing = ["--sample-time", "0.001", "--set", "controller.velocity.cutoff=20"]
-    asked = ["design", *device, *timing, "--wall", "20", "0.3", "--for", "inertia"]
+    asked = ["design", *device, *timing, "--gains", "20", "0.3", "--for", "inertia"]
     answer = json.loads(run(*asked, "--json").stdout)
     wall = answer["walls"]["gains"]
     assert "  other inertia 1    " in run(*asked).stdout
@@ -534,8 +534,21 @@ def test_a_table_of_scenes_has_the_ends() -> None:
     assert "0.0007353363611 kg m^2" in joint
 
 
+def test_a_wall_has_a_name_in_design_as_in_check() -> None:
+    asked = ["design", "data/scenes/omega.toml", "--for", "mass"]
+    named, plain = (
+        json.loads(run(*asked, *wall, "--json").stdout)["walls"]
+        for wall in (["--wall", "new", "1000", "15"], ["--gains", "1000", "15"])
+    )
+    assert named["new"] == plain["gains"]
+    assert set(named) > {"new"}
+    answer = run("design", "data/scenes/omega.toml", "--wall", "new", "1000", "15")
+    assert answer.exit_code == 2
+    assert answer.stderr.endswith("--wall is given without --for; give what it needs.\n")
+
+
 def test_a_delay_in_samples_goes_with_the_sample_time() -> None:
-    device = ["--mass", "0.1", "--damping", "0", "--sample-time", "0.001", "--wall", "1000", "10"]
+    device = ["--mass", "0.1", "--damping", "0", "--sample-time", "0.001", "--gains", "1000", "10"]
     answers = [
         json.loads(run("design", *device, *delay, "--for", "sample-time", "--json").stdout)
         for delay in (["--delay-samples", "1"], ["--delay", "0.001"])
@@ -554,7 +567,7 @@ def test_a_delay_in_samples_goes_with_the_sample_time() -> None:
     [
         (["design", *SCENE], "without --for"),
         (
-            ["design", SIMULATOR, "--wall", "80", "2", "--for", "inertia"],
+            ["design", SIMULATOR, "--gains", "80", "2", "--for", "inertia"],
             "--for, and --gains without a mass, are for walls of a held device; jaxstab study",
         ),
         (["limits", SIMULATOR, "--gains", "80", "2"], "asks for other loops"),

@@ -329,7 +329,7 @@ def test_issue_31_31_a_scheduler_that_is_no_address_is_named() -> None:
     ("given", "names"),
     [
         (["check", "--wall", "1000"], "NAME K B"),
-        (["design", "--wall", "1000"], "K B"),
+        (["design", "--wall", "1000"], "NAME K B"),
         (["limits", "--gains", "40"], "K B"),
     ],
 )

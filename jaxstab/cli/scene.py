@@ -117,13 +117,16 @@ wall_option = click.option(
 )
 
 
-def _gains_option(*names: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    words = "One wall in place of the scene's: N/m and N s/m (kp and kd: N m/rad and N m s/rad)."
-    return click.option(*names, "gains", type=(float, float), metavar="K B", help=words)
-
-
-_file_argument = click.argument("files", type=Path, nargs=-1, metavar="[FILE]...")
-_more_options = together(
+# What describes a scene beside the options of a SceneCommand, which go before the files.
+mechanics_options = together(
+    click.argument("files", type=Path, nargs=-1, metavar="[FILE]..."),
+    wall_option,
+    click.option(
+        "--gains",
+        type=(float, float),
+        metavar="K B",
+        help="One wall in place of the scene's: N/m and N s/m (kp and kd: N m/rad and N m s/rad).",
+    ),
     click.option("--rate", type=float, help="Sampling rate in Hz, in place of the sample time."),
     click.option(
         "--set",
@@ -135,10 +138,9 @@ _more_options = together(
     ),
 )
 
-# What describes a scene beside the options of a SceneCommand, which go before the files.
-mechanics_options = together(_file_argument, wall_option, _gains_option("--gains"), _more_options)
-
-_form_options = together(
+# The same of several, and the form of the answer.
+scene_options = together(
+    mechanics_options,
     file_option(
         "--csv",
         "csv_file",
@@ -146,9 +148,6 @@ _form_options = together(
     ),
     click.option("--json", "as_json", is_flag=True, help="Print JSON."),
 )
-
-# The same of several, and the form of the answer.
-scene_options = together(mechanics_options, _form_options)
 
 
 def tables_of(given: dict[str, Any]) -> dict[str, dict[str, Any]]:
@@ -521,10 +520,7 @@ def tune(as_json: bool, **given: Any) -> int:
 
 
 @click.command(cls=SceneCommand, wanted=["safety", "stiffness"])
-@_file_argument
-@_gains_option("--wall", "--gains")
-@_more_options
-@_form_options
+@scene_options
 @_plot_option
 @click.option(
     "--for",
@@ -539,8 +535,9 @@ def design(as_json: bool, asked: str | None, **given: Any) -> int:
     them proved. Of a range of delays it takes the longest one as a constant delay. The exit code is
     0 if all are found, 1 if not.
     """
-    if given["gains"] and not asked:
-        raise click.UsageError("--wall is given without --for; give the quantity that it needs.")
+    for option in ("wall", "gains") if not asked else ():
+        if given[option]:
+            raise click.UsageError(f"--{option} is given without --for; give what it needs.")
     return _answer(given, "design", as_json, asked=asked)
 
 
