@@ -162,6 +162,11 @@ def test_a_file_that_cannot_be_read_is_named(
     assert reader.main(tmp_path / "absent.json") == 2
     (tmp_path / "deep.json").write_text("[" * 100_000)
     assert reader.main(tmp_path / "deep.json") == 2
+    (tmp_path / "other.json").write_text('{"format": "jaxstab wall 1"}')
+    assert reader.main(tmp_path / "other.json") == 2
+    said = capsys.readouterr().err
+    assert said.endswith("other.json: it has no 'loop'\n")
+    assert "Error: " not in said
 
 
 def test_the_order_of_the_keys_says_nothing(reader: Any, tmp_path: Path) -> None:

@@ -111,6 +111,20 @@ def test_a_plot_is_a_picture(path: Path, tmp_path: Path) -> None:
     assert "delay 9 has no fields in this atlas" in answer.stderr
 
 
+def test_a_picture_names_the_nodes_of_its_fields(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fields between nodes were those of the nearest ones, without a word."""
+    from jaxstab.pictures import atlas as pictures
+
+    monkeypatch.setattr(pictures, "picture", lambda figure, _: figure.get_suptitle().encode())
+    opened = jaxstab.open_atlas(path)
+    titles = [pictures.draw_atlas(opened, gamma, 0.005, [1.5]).decode() for gamma in (1e-3, 8e-4)]
+    assert "fields at" not in titles[0]
+    assert "0.0008" in titles[1].partition("; fields at")[0]
+    assert "0.001" in titles[1].partition("; fields at")[2]
+
+
 CSV = "alpha,beta,gamma,delta,delay\n"
 BAD_QUERIES = {
     "not a number": ("", ["--alpha", "much"]),

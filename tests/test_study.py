@@ -617,7 +617,10 @@ def test_what_makes_no_sense_is_refused_in_a_sentence(
         jaxstab.study(TABLE, over, **options)
 
 
-@pytest.mark.parametrize("text", ["normal:1", "csv:x", "lognormal:1:-2", "weibull:1:2"])
+@pytest.mark.parametrize(
+    "text",
+    ["normal:1", "csv:x", "lognormal:1:-2", "lognormal:1:0.5", "lognormal:1:1", "weibull:1:2"],
+)
 def test_bad_distributions_are_refused(text: str) -> None:
     with pytest.raises(ValueError, match=rf"'{text}' is no distribution; give normal:MEAN"):
         distribution_of(text)

@@ -237,7 +237,7 @@ def main(path):
             refused += answer != "confirmed"
             print(f"{words}: {answer}")
     except Exception as error:  # noqa: BLE001, a file may be wrong in any way
-        print(f"{path}: {type(error).__name__}: {error}", file=sys.stderr)
+        print(f"{path}: {'it has no ' * isinstance(error, KeyError)}{error}", file=sys.stderr)
         return 2
     print(f"{len(asked) - refused} of {len(asked)} claims confirmed")
     return 1 if refused or not asked else 0

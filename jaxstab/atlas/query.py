@@ -197,7 +197,11 @@ class Atlas:
     def __repr__(self) -> str:
         table, tested = self.table, self.tested
         rows = [
-            (f"  {name}", f"{nodes.size} nodes", f"{nodes[0]:.4g} to {nodes[-1]:.4g}")
+            (
+                f"  {name}",
+                f"{nodes.size} node{'s' * (nodes.size > 1)}",
+                f"{nodes[0]:.4g} to {nodes[-1]:.4g}",
+            )
             for name, nodes in zip(PLANT, table.axes, strict=True)
         ]
         points = max(tested["tested_points"], 1)

@@ -96,7 +96,12 @@ def draw_atlas(
         bar.ax.tick_params(labelsize=8)
         bar.set_label("spectral radius (line: 1)" if is_radius else _FIELDS[row][0])
     figure.legend(handles=_legend(), loc="outside lower center", ncols=3, frameon=False)
-    figure.suptitle(f"{plain(atlas.filters_in_words)}\n{hand_label(*hand)}", fontsize=10)
+    title = f"{plain(atlas.filters_in_words)}\n{hand_label(*hand)}"
+    if atlas.has_fields:
+        places = zip((atlas.fields["gamma"], atlas.fields["delta"]), hand, strict=True)
+        near = [float(axis[np.argmin(np.abs(axis - value))]) for axis, value in places]
+        title += f"; fields at {hand_label(*near)}" * (near != [*hand])
+    figure.suptitle(title, fontsize=10)
     return picture(figure, "png")
 
 

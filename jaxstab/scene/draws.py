@@ -98,13 +98,13 @@ def distribution_of(text: str) -> Any:
                 return stats.norm(a, b)
             case "uniform":
                 return stats.uniform(a, b - a)
-            case "lognormal":
+            case "lognormal" if b > 1.0:
                 return stats.lognorm(log(b), scale=a)
     except ValueError:
         pass
     raise ValueError(
         f"{shortened(text)} is no distribution; give normal:MEAN:DEVIATION, uniform:LOW:HIGH, "
-        "lognormal:MEDIAN:FACTOR or csv:FILE:COLUMN."
+        "lognormal:MEDIAN:FACTOR with a FACTOR above 1, or csv:FILE:COLUMN."
     )
 
 
