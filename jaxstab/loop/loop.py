@@ -107,9 +107,9 @@ class HapticLoop(LoopParameters, TwoGains):
     def region(self, *, tolerance: float = TOLERANCE) -> WallRegion:
         """The set of all stable walls, in its connected parts.
 
-        It takes some hundredths of a second, with a window of more than 100 samples half a second,
-        ten where a device swings at half of the sampling rate besides, and minutes where float64
-        does not resolve it.
+        It takes some hundredths of a second; half a second with a window of more than 100 samples,
+        some ten seconds if the device also swings at half of the sampling rate, and minutes where
+        float64 does not resolve the boundary.
 
         Args:
             tolerance: largest distance between the outline and the boundary, as a share of the

@@ -153,7 +153,9 @@ class LoopParameters:
         body = self.body
         if body is None or is_any_traced(body.mass, self.sample_time):
             return
-        period, mass = float(np.min(self.sample_time)), float(np.max(body.mass))
+        period, mass = self.sample_time, body.mass
+        if not (isinstance(period, float) and isinstance(mass, float)):  # one loop: no time lost
+            period, mass = float(np.min(period)), float(np.max(mass))
         if min(period, period * period) / max(mass, 1.0) < least:
             raise ValueError(
                 f"sample_time is {period:g} s for a mass of {mass:g} kg, which float64 does not "

@@ -248,7 +248,7 @@ def _is_clear(falling: Array) -> Bool[np.ndarray, " polynomial"]:
 
     That is not proved: what is lost grows by each step, about as 1 over 1 less the reflection.
     """
-    far = 1e4  # times that; of 7,000 hostile polynomials none was wrong beyond 12
+    far = 1e4  # times that; of 6,000 hostile polynomials none was wrong beyond 12
     lost = np.full(falling.shape[1], len(falling) ** 2 * UNIT)
     is_clear, is_open = np.ones(lost.shape, bool), np.ones(lost.shape, bool)
     while len(falling) > 1 and np.any(is_open):
@@ -333,8 +333,8 @@ def _arc_ends(c: Curve, angles: Angles, inside: Passes) -> _Ends:
 def second_pairs(c: Curve, theta: Angles) -> Angles:
     """Return the angles of the second pairs on the circle at ends of arcs: arcs begin there.
 
-    NaN where none is found. Angles are not drawn out. Newton's method begins at all even angles
-    that are about as close to a root as to each other.
+    NaN where none is found. Angles are not drawn out. Newton's method begins at those of some even
+    angles that are about as close to a root as to their neighbours.
     """
     about = 1e-6  # what rounding may move roots by
     per_root, steps = 4, 6  # even angles, and of Newton's method

@@ -59,15 +59,15 @@ Points = Float64[np.ndarray, "point 2"]
 @np.errstate(all="ignore")  # NaN and infinity are answers
 def region_of(loop: ScaledLoop, tolerance: float) -> StableRegion:
     """Return the region of a loop; see ``stable_region`` for the tolerance and what is raised."""
-    scans, proved = 5, 2  # and from which on roots are counted in balls
+    scans, closer = 5, 2  # and from which on balls count and angles are drawn out
     rough = 1e-3  # of the same: an outline that leaves its curve by more has too few angles
     c = curve_of(loop)
     if _keeps_a_root(loop):
         return region_within(c, empty_outline(resolved=True))
     centers, with_balls, lines = np.empty((0, 2)), bool(c.stretches), _Lines(loop)
     for scan in range(scans):
-        with_balls = with_balls or scan >= proved
-        if scan >= proved:
+        with_balls = with_balls or scan >= closer
+        if scan >= closer:
             c = drawn_out(c, np.concatenate([_inner(line_ends(c)), centers]))
         pieces, centers = _followed(c, centers, with_balls=with_balls)
         more: Centers | None = np.empty((0, 2))
@@ -95,8 +95,8 @@ def region_of(loop: ScaledLoop, tolerance: float) -> StableRegion:
 def _followed(c: Curve, centers: Centers, *, with_balls: bool) -> tuple[Pieces, Centers]:
     """Return the pieces that scans find, and the centres with those that arcs told of.
 
-    As long as a scan in float64 finds more arcs for them, it is repeated, some times. Where each
-    finds several times as many, they are rounding: rows tell then.
+    As long as a scan in float64 finds more arcs for them, it is repeated with their angles. Where
+    it finds several times as many at once, they are rounding: rows tell then.
     """
     known, most = 1e-7, 100  # radians: a centre is there; centers
     scans = 8 + len(c.poles)  # each finds the next arc, and hardly two of them are of one branch

@@ -166,12 +166,12 @@ class RegionStatus(Status):
     COMPLETE: the boundary that was found closes to loops; all stable intervals of a row through
     each component are proved to be the region's, and so are those of the line 1e-9 beyond each
     limit of the component with small gains, 1e-9 within which a wall is proved stable. Islands were
-    looked for at some hundred angles and on these lines. EMPTY: neither a scan, in balls
-    where float64 is not clear, nor proved lines through the wall without gains have a stable wall.
-    UNRESOLVED: the boundary does not close, or a proved line contradicts it. Such a region claims
-    nothing: it has no points, its numbers are NaN and ``contains`` is False everywhere, which does
-    not mean that the points are unstable. MEASURED: limits, without a region, of a device that was
-    measured.
+    looked for at some hundred angles and on these lines. EMPTY: no stable wall was found, neither
+    by a scan (in balls where float64 is not clear) nor on proved lines through the wall without
+    gains. UNRESOLVED: the boundary does not close, or a proved line contradicts it. Such a region
+    claims nothing: it has no points, its numbers are NaN and ``contains`` is False everywhere,
+    which does not mean that the points are unstable. MEASURED: limits, without a region, of a
+    device that was measured.
 
     Example:
         >>> jaxstab.results.RegionStatus(2).words
