@@ -22,6 +22,10 @@ from jaxstab.model.device.parts import decided
 Isolate = Callable[[list[flint.arb]], list[Zero] | None]
 
 
+def isolated(cosines: list[flint.arb]) -> list[Zero] | None:
+    return zeros(cosines, is_last_try=False)
+
+
 def in_cells(cosines: list[flint.arb]) -> list[Zero] | None:
     return _by_cells(cosines, is_last_try=False)
 
@@ -53,7 +57,7 @@ def times_line(cosines: list[flint.arb], constant: flint.arb) -> list[flint.arb]
     return product
 
 
-@pytest.mark.parametrize("isolate", [_by_powers, in_cells])
+@pytest.mark.parametrize("isolate", [isolated, in_cells])
 @pytest.mark.parametrize("seed", range(12))
 def test_the_zeros_are_those_that_were_chosen(isolate: Isolate, seed: int) -> None:
     rng = np.random.default_rng([5, seed])
@@ -74,6 +78,21 @@ def test_the_zeros_are_those_that_were_chosen(isolate: Isolate, seed: int) -> No
         assert float(zero.angle.rad()) < 1e-15
     signs = [zero.slope for zero in found]
     assert signs == [(-1) ** (k + 1) for k in range(len(angles))]  # at 0 the sum is positive
+
+
+@pytest.mark.parametrize("degree", [2, 7, 15, 20])
+def test_powers_tell_all_zeros_of_ordinary_sums(degree: int) -> None:
+    """Two zeros between two angles that float64 looks at are left to the search."""
+    rng = np.random.default_rng([529, degree])
+    with flint.ctx.workprec(192):
+        for _ in range(20):
+            angles = np.sort(rng.uniform(0.0, np.pi, int(rng.integers(0, degree + 1)))).tolist()
+            pairs = (degree - len(angles)) // 2
+            cosines = chosen(angles, [complex(*rng.uniform(-2.5, 2.5, 2)) for _ in range(pairs)])()
+            told = _by_powers(cosines)
+            assert told is not None or np.min(np.diff(angles)) < np.pi / 16 / degree
+            for zero, angle in zip(told or (), angles, strict=told is not None):
+                assert zero.angle.contains(angle)
 
 
 @pytest.mark.parametrize("degree", [3, 17, 40, 41, 60])

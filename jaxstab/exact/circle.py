@@ -2,10 +2,10 @@
 
     f(theta) = c_0 + c_1 cos(theta) + ... + c_n cos(n theta),    f(0) and f(pi) not 0.
 
-Up to degree 40 the sum is a polynomial in x = 2 cos(theta), by Chebyshev's recursion, of which
-python-flint isolates the roots (lemma E2). A root is real if its ball meets the real axis and its
-mirror image, a root too, can be in no other ball. What is lost to powers of x, about
-1.3 n bits, is in the radii. Above, and where roots coincide or nearly so, the angles are searched.
+Up to degree 36 the sum is a polynomial in x = 2 cos(theta), by Chebyshev's recursion. Sturm's chain
+counts its real roots in (-2, 2); float64 suggests as many, between the signs of a transform, and
+Newton's step in balls proves that each ball holds one (lemma E3). What is lost to powers of x,
+about 1.3 n bits, is in the radii. Above, and where it is not told so, the angles are searched.
 
 The half circle is divided into 2n cells or a few more. Two discrete Fourier transforms give f and
 three derivatives at the middle of each. A cell of half-width h has no zero if
@@ -37,12 +37,13 @@ interval that is too short to be halved. It is reported as one place, without a 
 is asked for; else the answer is that more bits are needed.
 """
 
-from itertools import cycle
+from itertools import cycle, pairwise
 from typing import NamedTuple
 
+import numpy as np
 from flint import acb, arb, arb_mat, arb_poly, ctx, fmpq
 
-from jaxstab.exact.roots import real_roots, sign_of
+from jaxstab.exact.roots import sign_of
 from jaxstab.model.device.parts import remembered
 
 _OVERLAP = 9  # a cell reaches to 9/8 of its share: the ends of shares may be moved by 1/8
@@ -63,7 +64,7 @@ def zeros(cosines: "list[arb]", *, is_last_try: bool) -> list[Zero] | None:
 
     ``is_last_try`` has places without a direction reported.
     """
-    most_for_powers = 40  # degree: above, roots take longer than a search
+    most_for_powers = 36  # degree: above, 192 bits are too few for Sturm's chain
     if all(c.contains(0) for c in cosines[1:]):  # a constant, as far as the balls tell
         return None if sum(cosines[1:], cosines[0]).contains(0) else []
     if len(cosines) - 1 <= most_for_powers:
@@ -83,25 +84,69 @@ def is_positive(cosines: "list[arb]") -> bool | None:
 
 def _by_powers(cosines: "list[arb]") -> list[Zero] | None:
     """The zeros from roots in x = 2 cos(theta); None where they are not told apart."""
-    x, before, power = arb_poly([0, 1]), arb_poly([2]), arb_poly([0, 1])  # 2 cos(k theta)
+    x, lower, power = arb_poly([0, 1]), arb_poly([2]), arb_poly([0, 1])  # 2 cos(k theta)
     total = arb_poly([cosines[0]])
     for c in cosines[1:]:
         total += power * (c / 2)
-        before, power = power, x * power - before
-    roots = real_roots(total)
-    if roots is None:
+        lower, power = power, x * power - lower
+    slope = total.derivative()
+    found: list[Zero] = []
+    before = arb(2)
+    for guess in _guesses(cosines):
+        root, sign = _root_at(total, slope, guess)
+        if not (sign and -2 < root < before):
+            return None
+        before = root
+        found.append(Zero((root / 2).acos(), -sign))
+    return found if len(found) == _sturm_count(total, slope) else None
+
+
+@np.errstate(all="ignore")  # NaN where it finds none
+def _guesses(cosines: "list[arb]") -> list[float]:
+    """The roots in float64, descending: next to changes of sign between 16n angles."""
+    degree, steps = len(cosines) - 1, 2
+    largest = max(map(abs, cosines), key=float)
+    c, order = np.array([float((x / largest).mid()) for x in cosines]), np.arange(degree + 1.0)
+    cells = 16 * degree
+    values = np.fft.rfft(c, 2 * cells).real
+    cell = np.flatnonzero(values[:-1] * values[1:] < 0.0)
+    theta = np.pi / cells * (cell + values[cell] / (values[cell] - values[cell + 1]))
+    for _ in range(steps):
+        turns = np.outer(theta, order)
+        theta += np.cos(turns) @ c / (np.sin(turns) @ (order * c))
+    roots: list[float] = (2.0 * np.cos(theta)).tolist()
+    return roots
+
+
+def _root_at(f: "arb_poly", slope: "arb_poly", guess: float) -> "tuple[arb, int]":
+    """The one root in a ball around the end of Newton's iteration; the sign of f' there, or 0."""
+    most, small = 10, arb(2) ** -(ctx.prec // 4)  # steps; the last but one, which is squared
+    x = arb(guess)
+    for _ in range(most):
+        rise = slope(x)
+        step = f(x) / rise
+        x = (x - step).mid()
+        if abs(step) < small:
+            break
+    value = f(x)
+    around = arb(x, (4 * value / rise).abs_upper())
+    rise = slope(around)
+    root = x - value / rise
+    return root, sign_of(rise) if around.contains(root) else 0
+
+
+def _sturm_count(f: "arb_poly", slope: "arb_poly") -> int | None:
+    """The number of real roots in (-2, 2); None where balls do not tell, or roots coincide."""
+    chain = [f, slope]
+    while chain[-1].degree() > 0:
+        if chain[-1].coeffs()[-1].contains(0):
+            return None
+        chain.append(-(chain[-2] % chain[-1]))
+    ends = [[sign_of(part(end)) for part in chain] for end in (-2, 2)]
+    if len(chain) <= f.degree() or not all(map(all, ends)):
         return None
-    slope, found = total.derivative(), []
-    for root in roots:
-        place = root / 2
-        if abs(place) < 1:
-            sign = -sign_of(slope(root))
-            if not sign:
-                return None
-            found.append(Zero(place.acos(), sign))
-        elif not abs(place) > 1:
-            return None  # no zero is at 0 or pi, but this one may be there
-    return sorted(found, key=lambda zero: float(zero.angle.mid()))
+    low, high = (sum(a != b for a, b in pairwise(signs)) for signs in ends)
+    return low - high
 
 
 def _by_cells(cosines: "list[arb]", *, is_last_try: bool) -> list[Zero] | None:
@@ -220,9 +265,8 @@ def _sign_on_cell(cells: _Cells, cell: int) -> int:
 
 def _isolated(part: _Part, first: "tuple[arb, int]", last: "tuple[arb, int]") -> list[Zero] | None:
     """The zeros of a part between two places with their signs, from left to right, in t."""
-    most_halvings = 96
     found: list[Zero] = []
-    shortest = arb(2) ** -min(ctx.prec // 3, most_halvings)
+    shortest = arb(2) ** -(ctx.prec // 3)
     intervals = [(first, last)]
     while intervals:
         (a, sign_a), (b, sign_b) = intervals.pop()

@@ -50,7 +50,7 @@ from jaxstab.exact.circle import zeros
 from jaxstab.exact.roots import Number, sign_of
 from jaxstab.exact.verdict import TripleAt, roots_outside
 from jaxstab.model.balls import Factored
-from jaxstab.model.device.parts import FIRST_BITS, decided
+from jaxstab.model.device.parts import FIRST_BITS, decided, remembered
 from jaxstab.shown import text_with_bound
 
 _BLOCK = 32  # terms of a polynomial that are summed by Horner's rule
@@ -160,6 +160,7 @@ def stable_pencil(
 ) -> StableLine:
     """All t for which p0 + t q is stable; None, in place of p0 and q, asks for more bits."""
 
+    @remembered(1)
     def line() -> _Line | None:
         parts = pencil()
         return None if parts is None else _Line.of(*parts)

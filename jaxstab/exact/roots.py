@@ -158,12 +158,6 @@ def real_or_not(roots: "list[acb] | None") -> "list[tuple[acb, bool]] | None":
     return answers
 
 
-def real_roots(polynomial: "arb_poly") -> "list[arb] | None":
-    """All real roots, in balls that do not touch; None where they are not told apart."""
-    told = real_or_not(_isolated(polynomial))
-    return None if told is None else [root.real for root, is_real in told if is_real]
-
-
 def _largest_modulus(roots: "list[acb]") -> Number | None:
     """The largest modulus; None where it is not known to a float64."""
     if not roots:
