@@ -76,21 +76,19 @@ def quadrant_extremes(c: Curve, outline: Outline) -> tuple[Extreme, Extreme]:
 
     Each is a vertex, or the last crossing with the axis of that gain; NaN if no gain is positive.
     """
-    return _extreme(c, outline, 0), _extreme(c, outline, 1)
+    ends = interval_ends(c, outline, np.zeros(2), axis=np.array([1, 0]))
+    last = np.max(ends, axis=1, initial=-np.inf, where=np.isfinite(ends)).tolist()
+    return _extreme(outline, 0, last[0]), _extreme(outline, 1, last[1])
 
 
-def _extreme(c: Curve, outline: Outline, axis: int) -> Extreme:
+def _extreme(outline: Outline, axis: int, crossing: float) -> Extreme:
     vertices = outline.vertices
     other = np.nan_to_num(vertices[:, 1 - axis], nan=-np.inf)
     is_allowed = other >= -_STILL * np.max(other)  # a corner on the axis may be beside it
     values = np.where(is_allowed, vertices[:, axis], -np.inf)
     vertex: int | None = int(np.argmax(values))
     largest, point = np.max(values), vertices[vertex]
-    crossing, met = np.nan, _met(outline, np.zeros(1), 1 - axis)[0]
-    boxes = np.maximum(vertices[:-1, axis], vertices[1:, axis])
-    if np.max(boxes, where=met, initial=-np.inf) > largest:
-        crossing = np.nanmax(interval_ends(c, outline, np.zeros(1), axis=1 - axis))
-    if crossing - largest > _STILL * abs(crossing):
+    if crossing > largest and crossing - largest > _STILL * abs(crossing):
         vertex, largest, point = None, crossing, np.array([crossing, 0.0][:: 1 - 2 * axis])
     sizes = _STILL * np.max(abs(np.nan_to_num(vertices)), axis=0)
     is_there = largest > sizes[axis] and np.max(other) > sizes[1 - axis]  # beyond rounding

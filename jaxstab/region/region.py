@@ -181,6 +181,7 @@ def _compared(c: Curve, outline: Outline) -> list[tuple[int, float, bool, float]
 
     Each has the gain that it keeps (0 is alpha), its value, whether it is on the inner side of a
     limit, where one stable wall is enough, and how short intervals are that need not be compared.
+    Inner sides where the wall next to the limit is stable are left out.
     """
     slim = 1e-9  # of the region's width: shorter intervals need not be compared
     # In shares of its height, from corners: rows where modes are hardly damped.
@@ -193,7 +194,9 @@ def _compared(c: Curve, outline: Outline) -> list[tuple[int, float, bool, float]
         limit, extent = float(extreme.point[axis]), float(np.ptp(main.vertices[:, axis]))
         aside = max(_BESIDE * limit, _LEAST * extent)
         if np.isfinite(limit):
-            lines += [(axis, limit + aside, False, 0.0), (axis, limit - aside, True, 0.0)]
+            lines.append((axis, limit + aside, False, 0.0))
+            if not _is_stable(c, axis, limit - aside, float(extreme.point[1 - axis])):
+                lines.append((axis, limit - aside, True, 0.0))
     heights = (component.vertices[:, 1] for component in (main, *islands))
     rows = [float(np.min(beta) + np.ptp(beta) * row) for beta in heights]
     if c.stretches:
@@ -215,7 +218,8 @@ def _contradictions(c: Curve, lines: _Lines, outline: Outline) -> Centers | None
     ends = measures.interval_ends(c, outline, values, axis=axes)
     for own, (axis, value, is_inner, slim) in zip(ends, asked, strict=True):
         drawn = own[np.isfinite(own)].reshape(-1, 2)
-        if is_inner and _is_any_stable(c, axis, value, drawn):
+        middles = np.mean(drawn, axis=1).tolist()
+        if is_inner and any(_is_stable(c, axis, value, middle) for middle in middles):
             continue
         line = lines.at(axis, value)
         if line.status != LineStatus.PROVED:
@@ -268,12 +272,9 @@ def proved_extremes(region: StableRegion) -> tuple[Point, Point]:
     return points[0], points[1]
 
 
-def _is_any_stable(c: Curve, axis: int, value: float, intervals: Points) -> bool:
-    for middle in np.mean(intervals, axis=1).tolist():
-        wall = (value, middle) if axis == 0 else (middle, value)
-        if wall_verdict(c.loop.triple, *wall).verdict == Verdict.STABLE:
-            return True
-    return False
+def _is_stable(c: Curve, axis: int, value: float, other: float) -> bool:
+    wall = (value, other) if axis == 0 else (other, value)
+    return wall_verdict(c.loop.triple, *wall).verdict == Verdict.STABLE
 
 
 def _agree(line: StableLine, drawn: Points, slim: float, share: float, size: float) -> bool:
