@@ -1,12 +1,10 @@
 """The grid of a guard: limits at its nodes, its loops over boxes in cells, and the exact limits."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Complex128, Float64
+from jaxtyping import Bool, Float64
 
 from jaxstab.boxes import HandRange
 from jaxstab.boxes.box import ParameterBoxes, Rows
@@ -15,7 +13,7 @@ from jaxstab.boxes.hands import arms_over, spread_hands
 from jaxstab.boxes.plant import Arms, DeviceBoxes, Extent, FirstRow, HeldDevice
 from jaxstab.model import Device, LoopParameters
 from jaxstab.model.filters import NO_FILTERS, known_filters
-from jaxstab.region.closed_form import quick_plant, responses_at
+from jaxstab.region.closed_form import responses_at
 
 Ends = Float64[np.ndarray, "axis box"]  # in cells
 
@@ -213,89 +211,31 @@ def boundary_of(
     delay: Float64[np.ndarray, " delay"],
     jitter: float = 0.0,
 ) -> Boundary:
-    """Return the boundary for devices of some masses, at delays in samples.
+    """The boundary for devices of some masses, at delays in samples.
 
     With ``jitter`` each hand is taken with some delays up to so many samples longer, too.
     """
-    late = np.linspace(0.0, jitter, 5 if jitter else 1)
-    if loop.device is None:
-        return _of_masses(loop, hands, mass, delay, late)
-    device = HeldDevice.from_device(loop.device, loop.sample_time)
-    return _of_devices(device, loop, hands, mass, delay, late)
-
-
-def _of_masses(
-    loop: LoopParameters, hands: HandRange, mass: np.ndarray, delay: np.ndarray, late: np.ndarray
-) -> Boundary:
-    angles = 800
-    period = loop.sample_time
-    ends = (sorted(set(pair)) for pair in vars(hands).values())
-    corners = np.array(list(product(*ends, late.tolist())))
-    moved = mass[:, None, None] + corners[:, 0]
-    units = period**2 / moved, period / moved
-    lag = np.broadcast_to(delay[:, None] + corners[:, 3], (len(mass), len(delay), len(corners)))
-    gamma = np.broadcast_to(corners[:, 1] * units[0], lag.shape)
-    delta = np.broadcast_to((loop.device_damping + corners[:, 2]) * units[1], lag.shape)
-    plant = quick_plant(gamma, delta, lag)
-    parts = plant.d1, plant.d0, plant.n2, plant.n1, plant.n0, np.floor(lag) + 1.0
-
-    def stiffness(theta: Angles) -> Complex128[np.ndarray, "mass delay hand angle"]:
-        z = np.exp(1j * theta)
-        d1, d0, n2, n1, n0, turns = (coefficient[..., None] for coefficient in parts)
-        return -(z**turns) * (z + d1 + d0 / z) / (n2 * z + n1 + n0 / z)
-
-    return _boundary(loop, stiffness, units, angles)
-
-
-def _of_devices(
-    device: HeldDevice,
-    loop: LoopParameters,
-    hands: HandRange,
-    mass: np.ndarray,
-    delay: np.ndarray,
-    late: np.ndarray,
-) -> Boundary:
-    device_angles = 1200  # devices have resonances
-    device_hands = 3  # along each range: behind a grip the worst one need not be at a corner
-    period = loop.sample_time
-    units = np.full((1, 1, 1), period**2), np.full((1, 1, 1), period)
-    moved, springs, dampers = spread_hands(hands, device_hands).T
-    arms = Arms(moved, springs * period**2, dampers * period)
-
-    def stiffness(theta: Angles) -> Complex128[np.ndarray, "mass delay hand angle"]:
-        responses = [
-            np.concatenate([device.response(body, arms, delay + by, theta) for by in late], axis=1)
-            for body in mass
-        ]
-        return -1.0 / np.stack(responses)
-
-    return _boundary(loop, stiffness, units, device_angles)
-
-
-def _boundary(
-    loop: LoopParameters,
-    stiffness: Callable[[Angles], np.ndarray],
-    units: tuple[np.ndarray, np.ndarray],
-    count: int,
-) -> Boundary:
-    """Return the boundary from what alpha P + beta V is on it, and from alpha/K and beta/B."""
+    # Devices have resonances, and behind a grip the worst hand need not be at a corner.
+    angles, each = (800, 2) if loop.device is None else (1200, 3)
     bend = 1.5  # angles are closer to each other near 0
-    filters = known_filters(**loop.filters) or NO_FILTERS
+    period, late = loop.sample_time, np.linspace(0.0, jitter, 5 if jitter else 1)
+    device = HeldDevice.from_device(loop.held_device, period)
+    moved, springs, dampers = spread_hands(hands, each).T
+    arms = Arms(moved, springs * period**2, dampers * period)
+    lags = np.add.outer(late, delay).ravel()
 
-    def force(theta: Angles) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        position, velocity = responses_at(filters, theta)
-        return position, velocity, stiffness(theta)
-
-    position, velocity, wanted = force(np.pi * (np.arange(1, count) / count) ** bend)
+    theta = np.pi * (np.arange(1, angles + 1) / angles) ** bend  # the last one is pi
+    held = np.stack([device.response(body, arms, lags, theta) for body in mass])
+    wanted = -1.0 / np.concatenate(np.split(held, late.size, axis=1), axis=2)
+    position, velocity = responses_at(known_filters(**loop.filters) or NO_FILTERS, theta)
     twist = np.imag(np.conj(position) * velocity)
     with np.errstate(divide="ignore", invalid="ignore"):
         alpha = np.imag(np.conj(velocity) * wanted) / -twist
         beta = np.imag(np.conj(position) * wanted) / twist
-    per_force, per_speed = units
-    per_alpha, per_beta, total = (column[..., 0].real for column in force(np.array([np.pi])))
+    per_alpha, per_beta, total = (x[..., -1].real for x in (position, velocity, wanted))
     return Boundary(
-        np.nan_to_num(alpha / per_force[..., None]),
-        np.nan_to_num(beta / per_speed[..., None]),
-        np.signbit(twist[1:]) == np.signbit(twist[:-1]),
-        (per_alpha * per_force, per_beta * per_speed, total),
+        np.nan_to_num(alpha[..., :-1] / period**2),
+        np.nan_to_num(beta[..., :-1] / period),
+        np.signbit(twist[1:-1]) == np.signbit(twist[:-2]),
+        (per_alpha * period**2, per_beta * period, total),
     )
