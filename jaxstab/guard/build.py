@@ -24,10 +24,10 @@ from jaxstab.guard.guard import Guard
 from jaxstab.model import LoopParameters
 from jaxstab.model.balls import ball_triple
 from jaxstab.model.device.parts import MassSpringDamper, Modes
-from jaxstab.model.filters import known_filters
+from jaxstab.model.filters import NO_FILTERS, known_filters
 from jaxstab.model.loop import refuse_arrays
 from jaxstab.motion.moving_delays import Delays
-from jaxstab.numbers import checked_count, checked_number, require_kind
+from jaxstab.numbers import checked_count, require_kind, two_ends
 from jaxstab.region.closed_form import responses_at
 
 # Proof that every wall which a guard lets through is stable (lemma B20).
@@ -46,13 +46,14 @@ def proved(
     grid: Grid,
     cells: Cells,
     most: tuple[int, int],
-    tell: Callable[[int], None],
+    progress: Callable[[float], None],
+    before: int,
 ) -> tuple[Cells, int]:
     """The cells for which no wall has a root on the unit circle, and the number of boxes it took.
 
-    A cell, and all cells together, may take at most ``most`` boxes; ``tell`` is called now and then
-    with the number of cells that are proved. Of the loop, the device's mass, the hand and the delay
-    are not used.
+    A cell, and all cells together, may take at most ``most`` boxes; ``progress`` gets the share of
+    cells that are proved, those ``before`` included. Of the loop, the device's mass, the hand and
+    the delay are not used.
     """
     at_once = 32  # cells
     narrowest = 2.0**-29  # of a cell: what such boxes have not is next to an instability
@@ -67,7 +68,7 @@ def proved(
         paving = paved(boxes.judged, block.size, narrowest, effort=effort, **places, **arm)
         is_proved[waiting[block]] = ~np.isin(block, paving.boxes.index)
         waiting, count = waiting[block.size :], count + int(paving.judged.sum())
-        tell(int(is_proved.sum()))
+        progress((before + int(is_proved.sum())) / cells.size)
     return is_proved.reshape(cells.shape), count
 
 
@@ -273,20 +274,16 @@ def _proved(
     share = _LOWER
     hopeful, limit = ~is_proved, np.full(grid.limit.shape, np.inf)
     while left > 0 and hopeful.any():
-        tell = partial(_tell, progress, int(is_proved.sum()), is_proved.size)
-        newly, count = proved(loop, hands, grid, hopeful, (int(each), left), tell)
+        most, before = (int(each), left), int(is_proved.sum())
+        newly, count = proved(loop, hands, grid, hopeful, most, progress, before)
         is_proved, left = is_proved | newly, left - count
-        limit = np.where(_are_corners(grid, newly), np.minimum(limit, grid.limit), limit)
+        limit = np.where(_are_corners(newly), np.minimum(limit, grid.limit), limit)
         # A cell whose limits are all 0 cannot be lowered further.
         hopeful = ~is_proved & (np.max(cell_corners(grid.limit, 3), axis=0) > 0.0)
         grid = _lowered(grid, hopeful, unit, share)
         each, share = each * more, min(share * more, 1.0)
     progress(1.0)
     return grid._replace(limit=np.where(np.isfinite(limit), limit, grid.limit)), is_proved
-
-
-def _tell(progress: Callable[[float], None], before: int, cells: int, more: int) -> None:
-    progress((before + more) / cells)
 
 
 def _granted_rows(
@@ -332,17 +329,15 @@ def _checked_jitter(
             "a guard is proved for a mass, with or without vibration modes and actuators; this is "
             f"{loop.held_device}, which has no mass that could vary."
         )
-    filters = known_filters(**loop.filters)
-    gain = 1.0 if filters is None else float(responses_at(filters, np.zeros(1))[0][0].real)
+    filters = known_filters(**loop.filters) or NO_FILTERS
+    gain = float(responses_at(filters, np.zeros(1))[0][0].real)
     if not gain >= least_gain:
         raise ValueError(
             f"the position filter has the gain {gain:g} at z = 1; give one with a positive gain."
         )
     for name, ends, may_be_one in (("mass", mass, False), ("delay", delay, lost > 0)):
-        for end in ends:
-            checked_number(name, end, 0.0)
-        is_one = may_be_one and ends[0] == ends[1]
-        if not (ends[0] < ends[1] or is_one) or (name == "mass" and ends[0] <= 0.0):
+        low, high = two_ends(name, ends, 0.0)
+        if not (low < high or (may_be_one and low == high)) or (name == "mass" and low == 0.0):
             raise ValueError(f"{name} is {ends}; give the lower end first, then a higher one.")
     for count in cells:
         if count < 1 or count & (count - 1):
@@ -362,16 +357,9 @@ def _tops(
 ) -> np.ndarray:
     """Largest dampings at nodes, low enough for those between nodes."""
     finer = 4  # parts of a cell, in which largest dampings are computed
-    fine = [
-        np.interp(np.arange((axis.size - 1) * finer + 1) / finer, np.arange(axis.size), axis)
-        for axis in nodes
-    ]
-    exact = np.concatenate(
-        [
-            boundary_of(loop, hands, masses, fine[1], jitter).largest_damping()
-            for masses in fine[0][:, None]
-        ]
-    )
+    mass, delay = (np.linspace(x[0], x[-1], (x.size - 1) * finer + 1) for x in nodes)
+    rows = [boundary_of(loop, hands, own, delay, jitter).largest_damping() for own in mass[:, None]]
+    exact = np.concatenate(rows)
     top = exact[::finer, ::finer]
     places = np.indices(exact.shape).reshape(2, -1) / finer
     share = np.minimum(exact / interpolated(top, places).reshape(exact.shape), 1.0)
@@ -388,12 +376,9 @@ def _coded(values: np.ndarray) -> tuple[np.ndarray, float]:
     return np.floor(values / unit) * unit, unit
 
 
-def _are_corners(grid: Grid, cells: Cells) -> Bool[np.ndarray, "_ _ _"]:
+def _are_corners(cells: Cells) -> Bool[np.ndarray, "_ _ _"]:
     """True for nodes at corners of these cells."""
-    corners = np.zeros(grid.limit.shape, bool)
-    for corner in np.ndindex(2, 2, 2):
-        corners[tuple(np.stack(np.nonzero(cells)) + np.array(corner)[:, None])] = True
-    return corners
+    return np.any(cell_corners(np.pad(cells, 1), 3), axis=0)
 
 
 def _lowered(grid: Grid, cells: Cells, unit: float, share: float = _LOWER) -> Grid:
@@ -401,33 +386,26 @@ def _lowered(grid: Grid, cells: Cells, unit: float, share: float = _LOWER) -> Gr
     lower_all = 0.08  # of the largest limit of the same mass and delay, added to that limit
     by = share * (grid.limit + lower_all * grid.limit.max(axis=-1, keepdims=True))
     lower = np.floor(np.maximum(grid.limit - by, 0.0) / unit) * unit
-    return grid._replace(limit=np.where(_are_corners(grid, cells), lower, grid.limit))
+    return grid._replace(limit=np.where(_are_corners(cells), lower, grid.limit))
 
 
 def _below_curves(loop: LoopParameters, hands: HandRange, grid: Grid, unit: float) -> Grid:
     """A grid lowered where it is not below the boundaries between its nodes."""
-    parts = 2, 2, 4  # of a cell, at whose ends a guard is held against the boundary
+    parts = np.array([2, 2, 4])  # of a cell, at whose ends a guard is held against the boundary
     enough = 0.99  # of the stiffness at which a hand becomes unstable
     attempts = 12
-    counts = tuple(count * finer for count, finer in zip(grid.cells, parts, strict=True))
-    sizes = tuple(count + 1 for count in counts)
-    places = np.indices(sizes).reshape(3, -1) / np.array(parts)[:, None]
-    mass, delay = (
-        np.linspace(nodes[0], nodes[-1], count + 1)
-        for nodes, count in zip((grid.mass, grid.delay), counts[:2], strict=True)
-    )
+    sizes = (parts * grid.cells + 1).tolist()
+    places = np.indices(sizes).reshape(3, -1) / parts[:, None]
+    mass = np.linspace(grid.mass[0], grid.mass[-1], sizes[0])[:, None]
+    delay = np.linspace(grid.delay[0], grid.delay[-1], sizes[1])
     share = np.maximum(places[2] / grid.cells[2], _LEAST_SHARE)
-    damping = interpolated(grid.top, places[:2]) * share
-    damping = damping.reshape(sizes)
-    exact = np.concatenate(
-        [
-            boundary_of(loop, hands, value[None], delay, grid.jitter).largest_stiffness(row[None])
-            for value, row in zip(mass, damping, strict=True)
-        ]
-    )
+    damping = (interpolated(grid.top, places[:2]) * share).reshape(sizes[0], 1, *sizes[1:])
+    exact = [
+        boundary_of(loop, hands, own, delay, grid.jitter).largest_stiffness(row)
+        for own, row in zip(mass, damping, strict=True)
+    ]
     for _ in range(attempts):
-        limit = interpolated(grid.limit, places).reshape(exact.shape)
-        above = places[:, (limit > enough * exact).ravel()]
+        above = places[:, interpolated(grid.limit, places) > enough * np.ravel(exact)]
         if not above.shape[1]:
             break
         is_above = np.zeros(grid.cells, bool)

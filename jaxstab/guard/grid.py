@@ -1,7 +1,8 @@
 """The grid of a guard: limits at its nodes, its loops over boxes in cells, and the exact limits."""
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -59,11 +60,14 @@ def grid_boxes(device: Device, loop: LoopParameters, hands: HandRange, grid: Gri
         high = np.stack([mass + by_mass, delay + by_delay, last[1]])
         top = _model(grid.top, low[:2], high[:2], boxes.axes)
         top = replace(top, rest=top.rest + _SLACK * top.centre)
-        return _limits_over(grid, low, high, boxes.axes) * period**2, top * period
+        limit = _model(grid.limit, low, high, boxes.axes)  # from above, without a rest
+        most = limit.centre + limit.rest + _SLACK * float(np.max(grid.limit))
+        limit = replace(limit, centre=most, rest=np.zeros_like(limit.rest))
+        return limit * period**2, top * period
 
     def extent(boxes: ParameterBoxes) -> Extent:
         mass, delay = (
-            boxes.along(axis, step_of(nodes), float(nodes[0]))
+            boxes.along(axis, float(nodes[-1] - nodes[0]) / (len(nodes) - 1), float(nodes[0]))
             for axis, nodes in (("mass", grid.mass), ("delay", grid.delay))
         )
         center, half = boxes.ends("damping")
@@ -87,24 +91,12 @@ def grid_boxes(device: Device, loop: LoopParameters, hands: HandRange, grid: Gri
     )
 
 
-def _limits_over(grid: Grid, low: Ends, high: Ends, axes: tuple[str, ...]) -> LinearModel:
-    """Bound the limit from above, by models without a rest, over boxes within a cell."""
-    model = _model(grid.limit, low, high, axes)
-    slack = _SLACK * float(np.max(grid.limit))
-    return replace(model, centre=model.centre + model.rest + slack, rest=np.zeros_like(model.rest))
-
-
 def cell_corners(nodes: np.ndarray, axes: int) -> list[np.ndarray]:
     """Return the values at each corner of the cells along the first axes."""
     return [
         nodes[tuple(slice(k, size - 1 + k) for k, size in zip(corner, nodes.shape, strict=False))]
         for corner in np.ndindex(*(2,) * axes)
     ]
-
-
-def step_of(nodes: Float64[np.ndarray, " node"]) -> float:
-    """Return the step of evenly spaced nodes."""
-    return float(nodes[-1] - nodes[0]) / (len(nodes) - 1)
 
 
 def interpolated(nodes: np.ndarray, index: np.ndarray) -> np.ndarray:
@@ -163,45 +155,44 @@ class Boundary(NamedTuple):
     stiffness: Curves
     damping: Curves
     joined: np.ndarray
-    line: tuple[np.ndarray, np.ndarray, np.ndarray]
+    line: tuple[Any, Any, np.ndarray]
 
     def largest_damping(self) -> Float64[np.ndarray, "mass delay"]:
         """Return the damping at which, without stiffness, the first hand becomes unstable."""
-        before, after = self.stiffness[..., :-1], self.stiffness[..., 1:]
-        crosses = self.joined & ((before > 0.0) != (after > 0.0))
-        share = before / np.where(crosses, before - after, 1.0)
-        damping = self.damping[..., :-1] + share * np.diff(self.damping, axis=-1)
         # A hand on a spring that nothing damps is on the circle without a wall: there, both gains
         # change their sign.
-        crosses &= (self.damping[..., :-1] > 0.0) & (self.damping[..., 1:] > 0.0)
-        curve = np.min(np.where(crosses, damping, np.inf), axis=-1)
-        _, per_damping, total = self.line
-        line = total / np.where(per_damping == 0.0, np.inf, per_damping)
-        line = np.where(line > 0.0, line, np.inf)
-        largest: np.ndarray = np.minimum(curve, line).min(axis=-1)
-        return largest
+        is_damped = self.damping > 0.0
+        joined = self.joined & is_damped[..., :-1] & is_damped[..., 1:]
+        per_stiffness, per_damping, total = self.line
+        line: Any = per_damping, per_stiffness, total
+        return _first_gain(self.damping, self.stiffness, joined, line)(np.zeros(joined.shape[:2]))
 
     def largest_stiffness(
         self, damping: Float64[np.ndarray, "mass delay damping"]
     ) -> Float64[np.ndarray, "mass delay damping"]:
         """Return the stiffness at which, from 0 upwards, the first hand becomes unstable."""
-        rises = np.diff(self.damping, axis=-1), np.diff(self.stiffness, axis=-1)
-        rows = [self._first_stiffness(row, *rises) for row in np.moveaxis(damping, -1, 0)]
-        return np.stack(rows, axis=-1)
+        first = _first_gain(self.stiffness, self.damping, self.joined, self.line)
+        return np.stack([first(row) for row in np.moveaxis(damping, -1, 0)], axis=-1)
 
-    def _first_stiffness(
-        self, damping: Float64[np.ndarray, "mass delay"], run: Curves, rise: Curves
-    ) -> Float64[np.ndarray, "mass delay"]:
-        here = damping[..., None]
-        share = (here[..., None] - self.damping[..., :-1]) / np.where(run == 0.0, np.inf, run)
-        stiffness = self.stiffness[..., :-1] + share * rise
-        meets = self.joined & (share >= 0.0) & (share <= 1.0) & (stiffness > 0.0)
-        curve = np.min(np.where(meets, stiffness, np.inf), axis=-1)
-        per_stiffness, per_damping, total = self.line
-        line = (total - per_damping * here) / np.where(per_stiffness == 0.0, np.inf, per_stiffness)
-        line = np.where(line > 0.0, line, np.inf)
-        lowest: np.ndarray = np.minimum(curve, line).min(axis=-1)
-        return lowest
+
+def _first_gain(
+    gain: Curves, other: Curves, joined: np.ndarray, line: tuple[Any, Any, np.ndarray]
+) -> Callable[[np.ndarray], np.ndarray]:
+    """The least positive gain on the boundary at a value of the other gain, of any hand."""
+    run, rise = np.diff(other, axis=-1), np.diff(gain, axis=-1)
+    run, (per_gain, per_other, total) = np.where(run == 0.0, np.nan, run), line
+
+    def first(value: Float64[np.ndarray, "mass delay"]) -> Float64[np.ndarray, "mass delay"]:
+        here = value[..., None]
+        share = (here[..., None] - other[..., :-1]) / run
+        crossed = gain[..., :-1] + share * rise
+        meets = joined & (share >= 0.0) & (share <= 1.0) & (crossed > 0.0)
+        curve = np.min(np.where(meets, crossed, np.inf), axis=-1)
+        straight = (total - per_other * here) / np.where(per_gain == 0.0, np.inf, per_gain)
+        lowest: np.ndarray = np.minimum(curve, np.where(straight > 0.0, straight, np.inf))
+        return lowest.min(axis=-1)
+
+    return first
 
 
 def boundary_of(
