@@ -115,12 +115,11 @@ _COLUMNS = [
 
 
 class _Setup(NamedTuple):
-    """Runs of a loop: their numbers for T = m = 1, the shape of their grid, and what is fixed."""
+    """Runs of a loop: their numbers for T = m = 1, arrays of one shape, and what is fixed."""
 
     plant: Mechanism
     controller: Controller
     runs: Runs
-    shape: tuple[int, ...]
     samples: int
     sides: Sides
     period: float
@@ -133,7 +132,7 @@ class _Setup(NamedTuple):
 
     def answer(self, summary: Summary, path: Response | None = None) -> Contact:
         """Return the answer to runs that are summed up."""
-        values = Summary(*(np.reshape(value, self.shape) for value in summary))
+        values = Summary(*(np.reshape(value, self.runs.alpha.shape) for value in summary))
         is_far = values.deepest >= LIMIT
         rests = ~is_far & (values.since <= self.last)
         with np.errstate(all="ignore"):
@@ -175,11 +174,12 @@ def contact(loop: LoopParameters, stiffness: Numbers, damping: Numbers, **option
     """Simulate contacts with their paths: ``HapticLoop.contact``."""
     setup = setup_of(loop, stiffness, damping, **options)
     runs = setup.runs
-    if not setup.shape and isinstance(setup.plant, Plant):
+    shape = runs.alpha.shape
+    if not shape and isinstance(setup.plant, Plant):
         # Numbers of Python are several times faster here.
         runs = Runs(*(column.item() for column in runs))
     summary, (x, v, f) = paths(setup.plant, setup.controller, runs, setup.samples, setup.sides)
-    x, v, f = (np.moveaxis(path, 0, -1).reshape(*setup.shape, len(path)) for path in (x, v, f))
+    x, v, f = (np.moveaxis(path, 0, -1).reshape(*shape, len(path)) for path in (x, v, f))
     x = np.where(x < LIMIT, x, np.nan)  # given up
     time = setup.period * np.arange(setup.samples)
     return setup.answer(summary, Response(time, x, v / setup.period, f * setup.unit))
@@ -257,77 +257,59 @@ def setup_of(
     period = float(loop.sample_time)
     turn = (float(loop.delay_samples),) if delays is None else turn_of(loop, delays)
     mechanism, unit, support = _mechanism(loop, period, turn)
-    stiffness, damping = checked_gain("stiffness", stiffness), checked_gain("damping", damping)
-    is_mass = loop.body is not None
     count = checked_number("duration", duration, 0.0, unit="s") / period
     if not shortest <= count <= longest:
         raise ValueError(
             f"duration is {duration:g} s, {count:.3g} samples; give {shortest} samples at least "
             f"and {longest:g} at most."
         )
-    samples = round(count)
-    friction = checked("friction", friction, 0.0)
-    if static_friction is None:
-        static_friction = friction
+    static = friction if static_friction is None else static_friction
     most = np.inf if max_force is None else checked("max_force", max_force, 0.0, is_open=True)
-    columns = Runs(
-        loop.alpha(stiffness) if is_mass else stiffness,
-        loop.beta(damping) if is_mass else damping / period,
-        friction / unit,
-        checked("static_friction", static_friction, 0.0) / unit,
-        checked("encoder", encoder, 0.0),
-        checked("phase", phase),
-        checked("force_step", force_step, 0.0) / unit,
-        most / unit,
-        checked("push", push) / unit,
-        checked("position", position),
-        checked("speed", speed) * period,
-        checked("tolerance", tolerance, 0.0),
-    )
-    names = "stiffness", "damping", *Runs._fields[2:-2], "speed", "tolerance"
-    require_together(**dict(zip(names, columns, strict=True)))
-    runs = Runs(*(np.array(column) for column in np.broadcast_arrays(*columns)))
+    columns = {
+        "stiffness": checked_gain("stiffness", stiffness) / unit,
+        "damping": checked_gain("damping", damping) / (unit * period),
+        "friction": checked("friction", friction, 0.0) / unit,
+        "static_friction": checked("static_friction", static, 0.0) / unit,
+        "encoder": checked("encoder", encoder, 0.0),
+        "phase": checked("phase", phase),
+        "force_step": checked("force_step", force_step, 0.0) / unit,
+        "max_force": most / unit,
+        "push": checked("push", push) / unit,
+        "position": checked("position", position),
+        "speed": checked("speed", speed) * period,
+        "tolerance": checked("tolerance", tolerance, 0.0),
+    }
+    require_together(**columns)
+    runs = Runs(*map(np.array, np.broadcast_arrays(*columns.values())))
     _refuse_odd(runs, unit, support)
-    return _Setup(
-        mechanism,
-        controller_for(given_filters(**loop.filters)),
-        runs,
-        runs.alpha.shape,
-        samples,
-        Sides(bool(one_sided), bool(pulls)),
-        period,
-        unit,
-    )
+    controller = controller_for(given_filters(**loop.filters))
+    sides = Sides(bool(one_sided), bool(pulls))
+    return _Setup(mechanism, controller, runs, round(count), sides, period, unit)
 
 
 def _mechanism(
     loop: LoopParameters, period: float, turn: tuple[float, ...]
 ) -> tuple[Mechanism, float, float]:
     """The mechanism that moves, its unit of force in N, and its stiffness without a wall."""
-    device = loop.device
-    if loop.body is None and device is not None:
-        _refuse_fast(handle_equations(device, period).ticks)
-        return Handle.from_device(device, period, turn), 1.0, device.static_stiffness()
-    gamma, delta = float(loop.gamma), float(loop.delta)
-    _refuse_fast(max(delta, gamma**0.5))
-    return Plant.from_delays(gamma, delta, turn), float(loop.mass) / period**2, gamma
-
-
-def _refuse_fast(speed: float) -> None:
+    device: Any = loop.device
+    is_mass = loop.body is not None
+    gamma, delta = (float(loop.gamma), float(loop.delta)) if is_mass else (0.0, 0.0)
+    speed = max(delta, gamma**0.5) if is_mass else handle_equations(device, period).ticks
     if speed > FASTEST:
         raise ValueError(
             f"the device without a wall moves at {speed:.3g} rad per sample; contacts are "
             f"simulated up to {FASTEST:g}: give a shorter sample_time."
         )
+    if is_mass:
+        return Plant.from_delays(gamma, delta, turn), float(loop.mass) / period**2, gamma
+    return Handle.from_device(device, period, turn), 1.0, device.static_stiffness()
 
 
 def _refuse_odd(runs: Runs, unit: float, support: float) -> None:
     """Refuse conditions that contradict each other, or under which nothing moves."""
     less = runs.static_friction < runs.friction
     if np.any(less):
-        static, friction = (
-            unit * column[less].flat[0] for column in (runs.static_friction, runs.friction)
-        )
+        static, friction = (unit * x[less].flat[0] for x in (runs.static_friction, runs.friction))
         raise ValueError(
             f"static_friction is {static:g} N, below friction, {friction:g} N; give it at least "
             "as large."
