@@ -29,7 +29,7 @@ from jaxstab.model.affine import AdmittanceParts, affine_triple
 from jaxstab.model.balls import ball_triple
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import NO_FILTERS, Filters, behind_measured, exact_chain, given_filters
-from jaxstab.model.linear_loop import LinearLoop, Polynomial, filter_factors, filtered_loop
+from jaxstab.model.linear_loop import Polynomial, filter_factors, filtered_loop
 from jaxstab.model.loop import array_fields, as_one
 from jaxstab.numbers import require_together
 from jaxstab.region import RegionStatus
@@ -39,7 +39,7 @@ from jaxstab.region.outline import vertex_roots
 if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop
     from jaxstab.loop.region import WallRegion
-    from jaxstab.region.batch import Answers, Extremes, Triples
+    from jaxstab.region.batch import Extremes, Triples
 
 _VERTICES = 295  # of an outline
 _AT_ONCE = 256  # loops that a program takes
@@ -57,6 +57,8 @@ Outlines = tuple[
     Float64[np.ndarray, "*loop"],
 ]
 Units = Float64[np.ndarray, "loop 2"]
+_Group = tuple[list[Formed], "Triples", Callable[..., Any]]
+Form = tuple[float, Filters]  # of p(z) for one mass: the delay in samples, estimator and filter
 
 
 class ManyLimits(NamedTuple):
@@ -238,29 +240,13 @@ def _answered(loops: Any, fields: dict[str, Any], *, outlines: bool) -> ManyRegi
     if is_any_traced(many, fields):
         from jaxstab.loop.moving import moved_together
 
-        moved = moved_together(_varied(many, fields, shape), outlines=outlines)
-        return _in_shape(moved, shape)
-    stacks = _stacks(many, fields, shape)
-    limits, units = _no_limits(prod(shape), _are_of_gains(many)), _units(stacks)
-    found: Any = empty_outlines(prod(shape)) if outlines else (None,) * 3
-    vertices, _, area = found
-    for members, (extremes, outline) in resolved(stacks, outlines=outlines):
-        _write_limits(limits, members, extremes, units[members])
-        if outlines:
-            vertices[members], area[members] = outline.vertices * units[members, None], outline.area
-    is_open = limits.is_single & outlines
-    if outlines and _are_of_gains(many):
-        limits.is_single[[not loop._chart.are_gains for loop in many]] = True
-    for index, loop in singles(stacks, limits.is_single):
-        _write_single(limits, index, _limits_alone(loop))
-        if is_open[index]:
-            region = loop.region()
-            own, _, area[index] = outline_of(region)
-            units[index] = region.units
-            vertices[index] = own * units[index]
-    if outlines:
-        area *= units.prod(axis=1)
-    return _in_shape(ManyRegions(vertices, area, limits), shape)
+        answer = moved_together(_varied(many, fields, shape), outlines=outlines)
+    elif isinstance(many, list) and many and all(isinstance(loop, Loop) for loop in many):
+        stacks = [Stack(np.arange(len(many)), many)]
+        answer = _searched(stacks, ManyGainLimits, outlines=outlines)
+    else:
+        answer = _searched(_stacks(many, fields, shape), ManyLimits, outlines=outlines)
+    return tree_map(lambda column: column.reshape((*shape, *column.shape[1:])), answer)
 
 
 def empty_outlines(*shape: int) -> Outlines:
@@ -281,53 +267,22 @@ def outline_of(region: "WallRegion") -> Outlines:
     return main.points[chosen], roots[chosen], main.area
 
 
-def _no_limits(count: int, are_of_gains: bool) -> Any:
-    kind = ManyGainLimits if are_of_gains else ManyLimits
-    unresolved = np.full(count, RegionStatus.UNRESOLVED, np.int8)
-    flags = np.zeros(count, bool), np.ones(count, bool)
-    return kind._make([*np.full((4, count), np.nan), unresolved, *flags])
-
-
-def _write_limits(
-    limits: ManyLimits | ManyGainLimits, members: Indices, extremes: "Extremes", units: Units
-) -> None:
-    """Write what a program resolved."""
-    (stiffest, damped) = np.moveaxis(extremes.walls * units[:, None], 1, 0)
-    for column, values in zip(limits, (*stiffest.T, *damped.T[::-1]), strict=False):
-        column[members] = values
-    limits.status[members] = RegionStatus.COMPLETE
-    limits.is_reachable[members], limits.is_single[members] = extremes.failures == 0, False
-
-
-def _limits_alone(loop: Any) -> Any:
-    """The limits of one loop; those of admittances follow from one with T = 1 and Ke = 1."""
-    if not (isinstance(loop, Loop) and isinstance(loop.parts, AdmittanceParts)):
-        return loop.limits()
-    parts, (mass, damping) = loop.parts.in_units()
-    (_, least, at), (_, other, beside), *_ = limits = _unit_limits(
-        replace(loop, parts=parts, sample_time=1.0, words="")
-    )
-    return limits._replace(
-        first=limits.first._replace(value=least * mass, at=at * damping),
-        second=limits.second._replace(value=other * damping, at=beside * mass),
-    )
+def _limits_alone(loop: Any) -> tuple[Sequence[float], RegionStatus, bool]:
+    """Limits, status and reach of one loop; admittances follow from one with T = 1 and Ke = 1."""
+    if not isinstance(loop, Loop):
+        values = loop.limits()
+        return values[:4], values.status, values.is_reachable
+    mass = damping = 1.0
+    if isinstance(loop.parts, AdmittanceParts):
+        parts, (mass, damping) = loop.parts.in_units()
+        loop = replace(loop, parts=parts, sample_time=1.0, words="")
+    (_, least, at), (_, other, beside), status, is_reachable = _limits_of(loop)
+    return (least * mass, at * damping, other * damping, beside * mass), status, is_reachable
 
 
 @lru_cache(1024)
-def _unit_limits(loop: Loop) -> GainLimits:
+def _limits_of(loop: Loop) -> GainLimits:
     return loop.limits()
-
-
-def _write_single(limits: ManyLimits | ManyGainLimits, index: int, own: Any) -> None:
-    if isinstance(own, GainLimits):
-        own = (*own.first[1:], *own.second[1:], *own[2:])
-    for column, value in zip(limits, own[:6], strict=False):
-        column[index] = value
-
-
-def _in_shape(answer: ManyRegions, shape: tuple[int, ...]) -> ManyRegions:
-    """Return the answers to loops in the shape of these."""
-    return tree_map(lambda column: column.reshape((*shape, *column.shape[1:])), answer)
 
 
 class Stack(NamedTuple):
@@ -351,20 +306,6 @@ def singles(stacks: list[Stack], chosen: Bool[np.ndarray, " loop"]) -> Iterator[
         for place in np.flatnonzero(chosen[members]).tolist():
             one = {name: float(value[place]) for name, value in columns.items()}
             yield int(members[place]), replace(loop, **one)
-
-
-def _units(stacks: list[Stack]) -> Units:
-    """Return K in N/m and B in N s/m for alpha = 1 and beta = 1."""
-    units = np.ones((sum(len(members) for members, _ in stacks), 2))
-    for members, loop in stacks:
-        if not isinstance(loop, list):  # those of any two gains are answered in their gains
-            units[members, 0], units[members, 1] = loop.stiffness(1.0), loop.damping(1.0)
-    return units
-
-
-def _are_of_gains(many: Any) -> bool:
-    """True for loops of any two gains, and no walls."""
-    return isinstance(many, list) and len(many) > 0 and all(isinstance(x, Loop) for x in many)
 
 
 def _given(loops: Any, fields: dict[str, Any]) -> tuple[Any, dict[str, Any], tuple[int, ...]]:
@@ -395,8 +336,6 @@ def _varied(given: Any, fields: dict[str, Any], shape: tuple[int, ...]) -> list[
 def _stacks(given: Any, fields: dict[str, Any], shape: tuple[int, ...]) -> list[Stack]:
     """Return loops that JAX does not trace, in stacks."""
     filters = "velocity", "position"
-    if _are_of_gains(given):
-        return [Stack(np.arange(len(given)), given)]
     if isinstance(given, list) or given.device is not None or "device" in fields:
         return stacked(_varied(given, fields, shape))
     require_x64(*leaves(fields, plain=False))
@@ -408,7 +347,7 @@ def _stacks(given: Any, fields: dict[str, Any], shape: tuple[int, ...]) -> list[
     stacks = []
     for members in map(np.array, alike(kinds if shared else [()] * prod(shape))):
         one = {name: values[members[:1]].tolist()[0] for name, values in columns.items()}
-        first = replace(loop, **one)
+        first = replace(loop, **one)  # an error names one value
         varied = {name: values[members] for name, values in columns.items() if name not in shared}
         stacks.append(Stack(members, replace(first, **varied)))
     return stacks
@@ -433,56 +372,73 @@ def in_floats(loop: Any) -> "HapticLoop":
     return floats
 
 
+def _searched(stacks: list[Stack], kind: Any, *, outlines: bool) -> ManyRegions:
+    """The answers to loops that JAX does not trace, their limits of a kind."""
+    count = sum(len(members) for members, _ in stacks)
+    found: Any = empty_outlines(count) if outlines else (None,) * 3
+    vertices, _, area = found
+    walls, status = np.full((count, 4), np.nan), np.full(count, RegionStatus.UNRESOLVED, np.int8)
+    is_reachable, is_single = np.zeros(count, bool), np.ones(count, bool)
+    for members, units, (extremes, outline) in resolved(stacks, outlines=outlines):
+        stiffest, damped = np.moveaxis(extremes.walls * units[:, None], 1, 0)
+        walls[members] = np.hstack([stiffest, damped[:, ::-1]])
+        status[members], is_single[members] = RegionStatus.COMPLETE, False
+        is_reachable[members] = extremes.failures == 0
+        if outlines:
+            vertices[members] = outline.vertices * units[:, None]
+            area[members] = outline.area * units.prod(axis=1)
+    is_open = is_single & outlines
+    if outlines and kind is ManyGainLimits:  # the batch has these in other coordinates
+        is_single |= [not loop._chart.are_gains for loop in stacks[0].loop]
+    for index, loop in singles(stacks, is_single):
+        walls[index], status[index], is_reachable[index] = _limits_alone(loop)
+        if is_open[index]:
+            region = loop.region()
+            vertices[index], _, area[index] = outline_of(region)
+            vertices[index] *= region.units
+            area[index] *= prod(region.units)
+    limits = kind(*walls.T, status, is_reachable, is_single)
+    return ManyRegions(vertices, area, limits)
+
+
 def resolved(
     stacks: list[Stack], *, outlines: bool = False
-) -> "Iterator[tuple[Indices, tuple[Extremes, Any]]]":
-    """Yield loops that the program of a batch resolved, and its answers to them."""
+) -> "Iterator[tuple[Indices, Units, tuple[Extremes, Any]]]":
+    """Yield loops that the program of a batch resolved, and its answers in units of their gains."""
     are_walls = not any(isinstance(loop, list) for _, loop in stacks)
     formed: Iterable[Formed] = _formed(stacks, in_charts=outlines)
     compiled: set[int] = set()
     for _ in range(_SCANS):
         again: list[Formed] = []
-        for group, answer in ahead(_answer, _grouped(formed, compiled, outlines=outlines)):
+        for (parts, *_), answer in ahead(_answer, _grouped(formed, compiled, outlines=outlines)):
             from jaxstab.region.batch import ISLAND
 
             accepted = [0] if outlines or are_walls else [0, ISLAND]
-            members = np.concatenate([part.members for part in group.formed])
-            units, turned, unstable = (
-                np.concatenate(x) for x in list(zip(*group.formed, strict=True))[5:]
-            )
+            members = np.concatenate([part.members for part in parts])
+            units, turned, unstable = map(np.concatenate, list(zip(*parts, strict=True))[5:])
             extremes, outline = take(answer, np.arange(len(members)))
             extremes.failures[(extremes.failures == 0) & unstable] = ISLAND
             is_open = ~np.isin(extremes.failures, accepted)
             is_open |= np.any(np.diagonal(extremes.walls, axis1=1, axis2=2) < 0.0, axis=1)
-            extremes.walls[:] *= units[:, None]
+            units[turned] = units[turned, ::-1]
             extremes.walls[turned] = extremes.walls[turned, ::-1, ::-1]
             if outlines:
-                outline.vertices[:] *= units[:, None]
-                outline.area[:] *= units.prod(axis=1)
                 outline.vertices[turned] = outline.vertices[turned, ::-1, ::-1]
             own = np.flatnonzero(~is_open)
             if own.size:
-                yield members[own], take((extremes, outline), own)
-            again += _with_missed(group.formed, np.where(is_open[:, None], extremes.missed, np.nan))
+                yield members[own], units[own], take((extremes, outline), own)
+            again += _with_missed(parts, np.where(is_open[:, None], extremes.missed, np.nan))
         formed = again
-
-
-class _Group(NamedTuple):
-    """Loops that are filled up to one degree, as many as a program takes, and the program."""
-
-    formed: list[Formed]
-    triples: "Triples"
-    components: "Callable[[Triples], Answers]"
 
 
 def _answer(group: _Group) -> "tuple[Extremes, Any]":
     """Return the answers of a program, to copies behind the loops of the group."""
-    count = len(group.triples.angles)
-    return in_float64(group.components, take(group.triples, np.arange(_AT_ONCE) % count))
+    _, triples, program = group
+    return in_float64(program, take(triples, np.arange(_AT_ONCE) % len(triples.angles)))
 
 
 def _grouped(formed: Iterable[Formed], compiled: set[int], *, outlines: bool) -> Iterator[_Group]:
-    """Yield groups as soon as there are enough loops.
+    """Yield groups as soon as there are enough loops, filled up to one degree, and their program.
 
     Loops that are too few to compile for are filled up to the next degree.
     """
@@ -493,10 +449,9 @@ def _grouped(formed: Iterable[Formed], compiled: set[int], *, outlines: bool) ->
         from jaxstab.region.batch import program  # few loops need no JAX
 
         compiled.add(degree)
-        triples, components = _triples(own, degree), program(degree, outlines=outlines)
-        for start in range(0, len(triples.angles), _AT_ONCE):
+        while own:
             piece, own = _cut(own, _AT_ONCE)
-            yield _Group(piece, take(triples, slice(start, start + _AT_ONCE)), components)
+            yield piece, _triples(piece, degree), program(degree, outlines=outlines)
 
     for part in formed:
         degree = _filled_degree(part)
@@ -559,16 +514,17 @@ def _formed(stacks: list[Stack], *, in_charts: bool = False) -> Iterator[Formed]
         if loop.body is None:
             devices += [(members, loop)] if _poles(filters) is not None else []
             continue
-        gamma, delta, delay = np.broadcast_arrays(*loop.slice.values(), members)[:3]
-        for own in map(np.array, alike(zip(delay // 1.0, delay % 1.0 == 0.0, strict=True))):
-            for part in np.split(own, range(_FORMED, len(own), _FORMED)):
-                linear, roots = _masses(gamma[part], delta[part], delay[part], filters)
-                yield from _group(members[part], linear, filters, roots)
+        values = *loop.slice.values(), loop.stiffness(1.0), loop.damping(1.0), members
+        gamma, delta, delay, *scale, _ = np.broadcast_arrays(*values)
+        units = np.stack(scale, axis=-1)
+        for alone in map(np.array, alike(zip(delay // 1.0, delay % 1.0 == 0.0, strict=True))):
+            for part in np.split(alone, range(_FORMED, len(alone), _FORMED)):
+                own = members[part], units[part], gamma[part], delta[part], delay[part]
+                yield from _masses(*own, filters)
     for start in range(0, len(devices), _AT_ONCE):
         block, loops = zip(*devices[start : start + _AT_ONCE], strict=True)
-        units = np.array([(loop.stiffness(1.0), loop.damping(1.0)) for loop in loops])
         triples = [partial(ball_triple, loop) for loop in loops]
-        yield from sampled_loops(np.concatenate(block), triples, _DEGREES, units)
+        yield from sampled_loops(np.concatenate(block), triples, _DEGREES)
 
 
 def _of_gains(members: Indices, loops: list[Loop], *, in_charts: bool = False) -> Iterator[Formed]:
@@ -580,47 +536,42 @@ def _of_gains(members: Indices, loops: list[Loop], *, in_charts: bool = False) -
         yield from sampled_loops(np.array(block, int), triples, _DEGREES)
 
 
-def _group(members: Indices, linear: LinearLoop, filters: Filters, roots: Array) -> list[Formed]:
-    """Return loops with the same filters; none if these leave float64 few digits."""
-    poles = _poles(filters)
+def _masses(
+    members: Indices,
+    units: Units,
+    gamma: Array,
+    delta: Array,
+    delay: Float64[np.ndarray, " loop"] | float,
+    filters: Filters,
+) -> list[Formed]:
+    """Loops of one mass with the same whole samples of delay.
+
+    None if their filters leave float64 few digits.
+    """
+    poles, count = _poles(filters), len(members)
     if poles is None:
         return []
-    ends = linear.at_one, linear.at_minus_one
-    parts, values = (_columns(rows, len(members)) for rows in (linear[:3], ends))
-    count = len(members)
-    every = np.broadcast_to(poles, (count, poles.size))
-    flags = np.zeros((2, count), bool)
-    return [Formed(members, parts, values.rounded(), every, roots, np.ones((count, 2)), *flags)]
-
-
-def _masses(
-    gamma: Array, delta: Array, delay: Float64[np.ndarray, " loop"] | float, filters: Filters
-) -> tuple[LinearLoop, Array]:
-    """Return loops of one mass with the same whole samples of delay, and their resonances."""
     whole = int(np.min(delay))
     fraction = 0.0 if np.all(delay == whole) else delay - whole
-    return filtered_loop(gamma, delta, whole, fraction, filters), _resonances(gamma, delta)
-
-
-class Form(NamedTuple):
-    """The form of p(z) for one mass: the delay in samples, estimator and filter."""
-
-    delay: float
-    filters: Filters
+    linear = filtered_loop(gamma, delta, whole, fraction, filters)
+    parts, ends = (_columns(rows, count) for rows in (linear[:3], linear[3:5]))
+    every, roots = np.broadcast_to(poles, (count, poles.size)), _resonances(gamma, delta)
+    flags = np.zeros((2, count), bool)
+    return [Formed(members, parts, ends.rounded(), every, roots, units, *flags)]
 
 
 def common_form(many: Sequence[LoopParameters]) -> Form | None:
     """Return the form that loops have in common; None if they have none, or JAX traces it."""
     if is_any_jax([(loop.delay, loop.sample_time, loop.velocity, loop.position) for loop in many]):
         return None
-    forms = {Form(float(x.delay_samples), given_filters(**x.filters) or NO_FILTERS) for x in many}
+    forms = {(float(x.delay_samples), given_filters(**x.filters) or NO_FILTERS) for x in many}
     return forms.pop() if len(forms) == 1 else None
 
 
 def triples_of_masses(gamma: Array, delta: Array, form: Form) -> "Triples | None":
     """Return the triples of loops of one form, also inside of jit; None where none are formed."""
-    linear, roots = _masses(gamma, delta, form.delay, form.filters)
-    formed = _group(np.arange(len(gamma)), linear, form.filters, roots)
+    count = len(gamma)
+    formed = _masses(np.arange(count), np.ones((count, 2)), gamma, delta, *form)
     degree = _filled_degree(formed[0]) if formed else None
     return None if degree is None else _triples(formed, degree)
 

@@ -188,7 +188,7 @@ def _stacks_of(structure: Any, size: int, is_batched: list[bool], leaves: Any) -
 def _all(stacks: list[Stack], size: int, *, outlines: bool) -> Any:
     """Search for many loops: a batch, and one by one those that it left open."""
     answers = rows, _ = _empty(size, outlines=outlines)
-    for members, (extremes, own) in resolved(stacks, outlines=outlines):
+    for members, _, (extremes, own) in resolved(stacks, outlines=outlines):
         shape = (*extremes.walls.shape[:2], len(_RESOLVED))
         row = extremes.walls, extremes.angles, np.broadcast_to(_RESOLVED, shape)
         _write(answers, members, (np.concatenate(row, axis=-1), own))

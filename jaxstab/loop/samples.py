@@ -51,12 +51,11 @@ def sampled_loops(
     members: Int64[np.ndarray, " loop"],
     triples: Sequence[TripleAt],
     degrees: Sequence[int],
-    units: Float64[np.ndarray, "loop 2"] | None = None,
 ) -> Iterator[Formed]:
     """Loops filled up to one of the degrees, those with as many poles together.
 
-    Gains are in the units that are given, or in such that make them of size 1. Where the second one
-    alone moves p(1), it takes the place of the first.
+    Gains are in units that make them of size 1. Where the second one alone moves p(1), it takes the
+    place of the first.
     """
     every = list(map(_in_floats, triples))
     filled = [min((n for n in degrees if n >= len(row[0][0]) - 1), default=0) for row in every]
@@ -69,8 +68,6 @@ def sampled_loops(
             rows[:, k, :, : len(every[place][0][0])] = every[place][:2]
         scale = 2.0 ** -np.round(np.log2(np.abs(rows[0]).sum(axis=-1)))
         scale[:, 0] = 1.0
-        if units is not None:
-            scale[:, 1:] = units[own]
         parts, ends = rows * scale[..., None], np.array([every[k][2] for k in own]) * scale[:, None]
         turned = (ends[:, 0, 1] == 0.0) & (ends[:, 0, 2] != 0.0)
         for rest in (parts[0], parts[1], scale, ends.transpose(0, 2, 1)):
@@ -92,7 +89,7 @@ def sampled_loops(
                 ends[kind],
                 poles[kind, : counts[kind[0]]],
                 roots[kind, : max(1, int(np.sum(there)))],
-                scale[kind, 1:] if units is None else np.ones((kind.size, 2)),
+                scale[kind, 1:],
                 turned[kind],
                 unstable[kind],
             )
