@@ -125,16 +125,12 @@ class StableValues(NamedTuple):
         return f"{words} {self.tried:,} values from {low} to {high} {self.unit}".rstrip()
 
     def __repr__(self) -> str:
-        ways = ROUND_CEILING, ROUND_FLOOR
-        ends = [
-            [number_text(end.stable, 10, way) for end, way in zip(pair, ways, strict=True)]
-            for pair in self.intervals
-        ]
-        single = [low.stable == high.stable for low, high in self.intervals]
-        lines = [
-            f"  {low if is_one else f'{low} to {high}'} {self.unit}".rstrip()
-            for (low, high), is_one in zip(ends, single, strict=True)
-        ]
+        lines = list[str]()
+        for low, high in self.intervals:
+            text = number_text(low.stable, 10, ROUND_CEILING)
+            if low.stable != high.stable:
+                text += f" to {number_text(high.stable, 10, ROUND_FLOOR)}"
+            lines.append(f"  {text} {self.unit}".rstrip())
         doubt = [] if self.is_proved else ["  not proved for every hand"]
         head = f"StableValues of {self.quantity}:"
         return "\n".join([head, *(lines or ["  none"]), *doubt, f"  {self.scan}"])

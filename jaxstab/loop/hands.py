@@ -130,7 +130,19 @@ class LoopsWithHands:
         wall = stiffness, damping
 
         def judge(members: Members) -> WorstHand:
-            return _worst_of([self._held(member) for member in members], wall, self.moving)
+            """The verdict in the loop of the largest radius; of unstable ones, if any.
+
+            That is the radius at the longest delay, if the delay moves.
+            """
+            loops = [self._held(member) for member in members]
+            codes = np.array([loop.verdict(*wall, **self.moving) for loop in loops])
+            if self.moving:
+                loops = [replace(loop, delay=self.moving["delays"][1]) for loop in loops]
+            sizes = [rough_radius(partial(ball_triple, loop), *wall) for loop in loops]
+            unstable = codes == Verdict.UNSTABLE
+            worst = int(np.argmax(np.where(unstable | ~unstable.any(), sizes, -1.0)))
+            radius = float(loops[worst].spectral_radius(*wall).value)
+            return WorstHand(Verdict(int(codes[worst])), loops[worst], radius)
 
         sampled = judge(self._spread(values))
         return worst_of_range(sampled, lambda: self.unproved(wall), judge, most_tried)
@@ -138,10 +150,21 @@ class LoopsWithHands:
     def robust_limit(self) -> RobustLimit:
         """The stiffest wall that all of them allow: ``HapticLoop.robust_limit``."""
         loops = self.corners
-        tried = [*loops]
+        tried = [*loops]  # those that refute a wall join them
         if self.moving:
             tried = [replace(loop, delay=d) for d in self.moving["delays"] for loop in loops]
-        limit = _limit_for_hands(tried, self)
+
+        def unproved(walls: Points) -> list[WorstHand]:
+            hand = self.worst(*walls[0].tolist())
+            return [] if hand.verdict == Verdict.STABLE else [hand]
+
+        def add(found: list[WorstHand]) -> bool:
+            new = [hand.loop for hand in found if hand.verdict == Verdict.UNSTABLE]
+            new = [loop for loop in new if loop not in tried]
+            tried.extend(new)
+            return bool(new)
+
+        limit = limit_of(search(partial(_stiffest_wall, tried), unproved, add, PULLS), tried[0])
         if limit.is_proved or not self.moving:
             return limit
         # Constant delays may allow much more than is proved: shares of one hand's limit are next.
@@ -230,38 +253,6 @@ class LoopsWithHands:
             return unproved_members(device, self.loop, *ranges, *ends)
         except NotImplementedError:
             return None
-
-
-def _worst_of(loops: "list[HapticLoop]", wall: Wall, moving: dict[str, Any]) -> WorstHand:
-    """The verdict on a wall in the loop of the largest radius; of unstable ones, if any.
-
-    That is the radius at the longest delay, if the delay moves.
-    """
-    codes = np.array([loop.verdict(*wall, **moving) for loop in loops])
-    if moving:
-        loops = [replace(loop, delay=moving["delays"][1]) for loop in loops]
-    sizes = [rough_radius(partial(ball_triple, loop), *wall) for loop in loops]
-    unstable = codes == Verdict.UNSTABLE
-    worst = int(np.argmax(np.where(unstable | ~unstable.any(), sizes, -1.0)))
-    loop = loops[worst]
-    radius = float(loop.spectral_radius(*wall).value)
-    return WorstHand(Verdict(int(codes[worst])), loop, radius)
-
-
-def _limit_for_hands(loops: "list[HapticLoop]", hands: LoopsWithHands) -> RobustLimit:
-    """The stiffest wall for all hands; ``loops`` are tried, and those that refute one are added."""
-
-    def unproved(walls: Points) -> list[WorstHand]:
-        hand = hands.worst(*walls[0].tolist())
-        return [] if hand.verdict == Verdict.STABLE else [hand]
-
-    def add(found: list[WorstHand]) -> bool:
-        new = [hand.loop for hand in found if hand.verdict == Verdict.UNSTABLE]
-        new = [loop for loop in new if loop not in loops]
-        loops.extend(new)
-        return bool(new)
-
-    return limit_of(search(partial(_stiffest_wall, loops), unproved, add, PULLS), loops[0])
 
 
 # Walls that several sampled loops share, by rows of the damping (``boxes.search``).

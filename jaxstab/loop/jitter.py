@@ -100,7 +100,9 @@ class MovingLoop(NamedTuple):
     def from_loop(cls, loop: LoopParameters, delays: Any, lost: Any = 0) -> "MovingLoop":
         """Return a loop with a range of delays in s and of samples lost in a row."""
         loop = loop.in_floats()
-        ends = _checked_range(delays)
+        ends = low, high = two_ends("delays", delays, 0.0, unit="s")
+        if low > high:
+            raise ValueError(f"delays are from {low:g} to {high:g} s; give the shortest one first.")
         shortest, longest = (replace(loop, delay=delay) for delay in ends)
         samples = Delays.between(float(shortest.delay_samples), float(longest.delay_samples), lost)
         return cls(shortest, ends, samples)
@@ -265,10 +267,3 @@ def turn_of(loop: LoopParameters, delays: Any) -> tuple[float, ...]:
         )
     samples = {delay: replace(loop, delay=delay).delay_samples for delay in set(finite.tolist())}
     return tuple(samples.get(delay, inf) for delay in given.tolist())
-
-
-def _checked_range(delays: Any) -> Range:
-    low, high = two_ends("delays", delays, 0.0, unit="s")
-    if low > high:
-        raise ValueError(f"delays are from {low:g} to {high:g} s; give the shortest one first.")
-    return low, high
