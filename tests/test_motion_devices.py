@@ -299,5 +299,5 @@ def test_what_a_blow_cannot_throw_or_a_force_not_hold_is_refused() -> None:
         loop.simulate(1.0, 0.0, force=1.0)
     with pytest.raises(ValueError, match="zero DC gain"):
         loop.settling_time(1.0, 0.0)
-    moves = mechanics(damper, PERIOD, 0.0, (0.0, 1.0))
-    np.testing.assert_allclose(moves.seen[0, 1], [-5.0 * PERIOD, 0.0, PERIOD, PERIOD], rtol=1e-14)
+    moves = mechanics(damper, PERIOD, (0.0,), (0.0, 1.0))
+    np.testing.assert_allclose(moves.seen[0, 1], [-5.0 * PERIOD, PERIOD, PERIOD], rtol=1e-14)

@@ -7,7 +7,6 @@ from march import FINE, HELD, OSCILLATING, PHANTOM, march_on_a_fine_grid
 
 from benchmarks.truth import loop as truth
 from jaxstab import HapticLoop
-from jaxstab.model import plant_transition
 
 SCENES = [
     (PHANTOM, 20_000.0, 20.0),
@@ -15,21 +14,6 @@ SCENES = [
     (OSCILLATING, 0.05, -0.02),
     (HapticLoop(device_mass=1.0, device_damping=0.0, sample_time=1.0), 0.1, 0.4),
 ]
-
-
-class TestPlantTransition:
-    @pytest.mark.parametrize("time", [1e-9, 0.3, 1.0])
-    def test_is_the_motion_of_the_plant_to_the_last_digits(self, time: float) -> None:
-        gammas, deltas = (
-            np.array([0.0, 1e-3, 0.25, 2.0, 9.9]),
-            np.array([0.0, 0.015, 1.0, 6.0, 0.1]),
-        )
-        transition = np.asarray(plant_transition(gammas, deltas, time))
-        for matrix, gamma, delta in zip(transition, gammas, deltas, strict=True):
-            x, v = truth.motion(gamma, delta, time)
-            exact = (1 - gamma * x, v, x, -gamma * v, 1 - delta * v - gamma * x, v)
-            for mine, right in zip(matrix.ravel().tolist(), exact, strict=True):
-                assert truth.ulps(mine, right) <= 1
 
 
 class TestSimulate:

@@ -17,6 +17,5 @@ from .parameters import checked_gamma as checked_gamma
 from .parameters import require_x64 as require_x64
 from .plant import PlantCoefficients as PlantCoefficients
 from .plant import plant_pairs as plant_pairs
-from .plant import plant_transition as plant_transition
 
 __all__: list[str]

@@ -25,7 +25,6 @@ from math import factorial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
 
 from jaxstab.arrays import (
     Array,
@@ -41,7 +40,6 @@ from jaxstab.arrays import (
 )
 from jaxstab.batches import MANY_PLANTS, compiled
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.parameters import checked_delta, checked_gamma, require_x64
 from jaxstab.rounding import DAMPED_PLANT, SOFT_DELTA, SOFT_GAMMA, SOFT_PLANT, STIFF_PLANT
 
 
@@ -66,33 +64,6 @@ class PlantCoefficients(NamedTuple):
     sum: Array
     difference: Array
     den_at_one: Array
-
-
-def plant_transition(gamma: Numbers, delta: Numbers, time: Numbers) -> Float64[Array, "*grid 2 3"]:
-    """The motion of the plant while a force is held for a ``time`` of at most one sample.
-
-    Position and velocity (rows) at the end, for a unit of position, of velocity and of force
-    (columns) at its beginning: upper rows of expm(t [[0, 1, 0], [-gamma, -delta, 1], [0, 0, 0]]).
-    Errors are as those of ``jaxstab.paper.plant_coefficients``.
-
-    Source: eqs. (1)-(3) of Hulin, Preusche, Hirzinger (2008).
-    """
-    require_x64(gamma, delta, time)
-    values = (checked_gamma(gamma), checked_delta(delta), time)
-    arrays = float_arrays(*values)
-    return _plant_transition(*namespace(arrays).broadcast_arrays(*arrays))
-
-
-@compiled(many=MANY_PLANTS)
-def _plant_transition(gamma: Array, delta: Array, time: Array) -> Array:
-    length = DoubleDouble.from_value(time)
-    hold = _hold(gamma, delta, length)
-    even = hold.decay * hold.kappa
-    odd = length * (hold.decay * hold.sigma)  # the position after a unit impulse
-    lag = odd * (0.5 * delta)
-    rows = ((even + lag, odd, hold.response()), (-(odd * gamma), even - lag, odd))
-    xp = namespace(odd)
-    return xp.stack([xp.stack([x.rounded() for x in row], axis=-1) for row in rows], axis=-2)
 
 
 def plant_pairs(gamma: Numbers, delta: Numbers, fraction: Numbers) -> PlantCoefficients:
@@ -167,7 +138,6 @@ class _Hold(NamedTuple):
     length: DoubleDouble
     decay: DoubleDouble  # e^-a
     kappa: DoubleDouble  # kappa(q)
-    sigma: DoubleDouble  # sigma(q)
     even: DoubleDouble  # kappa[a^2, q]
     odd: DoubleDouble  # a sigma[a^2, q]
 
@@ -188,7 +158,7 @@ def _hold(gamma: Array, delta: Array, length: DoubleDouble) -> _Hold:
     nodes = _Nodes(x, y, kappa=_series(0, x, y), sigma=_series(1, x, y))
     nodes = repeat(duplications, _duplicate, nodes)
     decay = DoubleDouble.from_value(filled(x.hi, 1.0)) / (nodes.kappa.x + a * nodes.sigma.x)
-    return _Hold(length, decay, nodes.kappa.y, nodes.sigma.y, nodes.kappa.xy, a * nodes.sigma.xy)
+    return _Hold(length, decay, nodes.kappa.y, nodes.kappa.xy, a * nodes.sigma.xy)
 
 
 class _Values(NamedTuple):

@@ -44,7 +44,6 @@ from jaxstab.batches import TILE, compiled, lists, on_cores
 from jaxstab.exact.turns import segments_of
 from jaxstab.model.device import Device
 from jaxstab.model.device.mechanics import handle_equations
-from jaxstab.model.plant import plant_transition
 from jaxstab.motion.response import Controller
 
 FASTEST = 64.0  # max(delta, sqrt(gamma)) that is simulated: as many pieces has a sample
@@ -158,15 +157,17 @@ class Plant(NamedTuple):
         """Return the plant; delays in samples, in turn, infinite for a lost sample."""
         fastest = max(delta, sqrt(gamma))
         ages, lengths = pieces(delays, fastest)
-        moved = plant_transition(gamma, delta, lengths)
-        flows = np.stack([lengths, moved[..., 0, 1], moved[..., 1, 1], moved[..., 0, 2]], axis=-1)
+        terms = series(gamma, delta, 1.0 / max(fastest, 1.0))
+        impulse = lengths * series_at(terms[0], lengths)
+        step = lengths**2 * series_at(terms[1], lengths)
+        slope = 1.0 - delta * impulse - gamma * step
         return cls(
             gamma,
             0.5 * delta,
             gamma - 0.25 * delta**2,
-            *series(gamma, delta, 1.0 / max(fastest, 1.0)),
+            *terms,
             ages,
-            flows.tolist(),
+            np.stack([lengths, impulse, slope, step], axis=-1).tolist(),
             max(map(max, ages)),
         )
 

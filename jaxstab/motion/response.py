@@ -11,12 +11,11 @@ A: the deviation from rest moves by s -> A s (``steps_of``), the controller's sh
 off its difference equations, entry by entry, from unit memories.
 """
 
-from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from decimal import ROUND_HALF_EVEN
 from functools import cached_property, lru_cache, reduce
-from itertools import pairwise
+from itertools import accumulate, cycle, zip_longest
 from math import ceil, prod
 from operator import add, mul
 from typing import Any, NamedTuple
@@ -40,8 +39,7 @@ from jaxstab.arrays import (
 from jaxstab.batches import compiled
 from jaxstab.conventions import Excitation, Status
 from jaxstab.exact.turns import Segments, segments_of
-from jaxstab.model import LoopParameters, by_name, checked_gain, plant_transition
-from jaxstab.model.device import Device
+from jaxstab.model import LoopParameters, by_name, checked_gain
 from jaxstab.model.device.mechanics import Mechanics, mechanics
 from jaxstab.model.filters import NO_FILTERS, Filter, Filters, Stage, Velocity, given_filters
 from jaxstab.numbers import checked, checked_count, require_together
@@ -60,40 +58,36 @@ Matrices = Float64[np.ndarray, "_ _ _"]
 class Equation(NamedTuple):
     """y_k = b_0 u_k + ... + b_n u_(k-n) - a_1 y_(k-1) - ... - a_n y_(k-n).
 
-    Coefficients that are 0 are None, so that nothing is computed with them. The memory from sample
-    to sample is the n sums from which the next outputs are made (transposed direct form II).
+    There are as many a as b, or none. The memory from sample to sample is the n sums from which the
+    next outputs are made (transposed direct form II).
     """
 
-    inputs: tuple[Array | None, ...]  # b_0 ... b_n
-    outputs: tuple[Array | None, ...]  # a_1 ... a_n
+    inputs: tuple[Array, ...]  # b_0 ... b_n
+    outputs: tuple[Array, ...]  # a_1 ... a_n
 
     @classmethod
     def from_stage(cls, stage: Stage) -> "Equation":
         """Return the difference equation of a filter in powers of 1/z."""
-        order = max(map(len, stage)) - 1
-        inputs, outputs = ((*map(_present, side), *[None] * (order + 1)) for side in stage)
-        return cls(inputs[: order + 1], outputs[1 : order + 1])
+        above, (_, *outputs) = stage
+        order = max(len(above) - 1, len(outputs))
+        inputs = (*above, *[0.0] * (order + 1 - len(above)))
+        return cls(inputs, (*outputs, *[0.0] * (order - len(outputs))) if outputs else ())
 
     def step(self, value: Array, memory: Memory) -> tuple[Array, Memory]:
         """Return the output for an input, and the new memory."""
-        output = _plus(memory[0] if memory else 0.0, self.inputs[0], value)
-        return output, self._sums(value, output, (*memory[1:], 0.0))
+        first, *waiting = (*memory, 0.0)
+        output = first + self.inputs[0] * value
+        sums = [later + b * value for later, b in zip(waiting, self.inputs[1:], strict=True)]
+        if self.outputs:
+            sums = [each - a * output for each, a in zip(sums, self.outputs, strict=True)]
+        return output, tuple(sums)
 
     def at_rest(self, value: Array) -> tuple[Array, Memory]:
         """Return the output for an input that never changed, and the memory then."""
-        output = value * (_sum(self.inputs) / (1.0 + _sum(self.outputs)))
-        memory: Memory = ()
-        for order in range(len(self.outputs), 0, -1):
-            below = self.outputs[order - 1]
-            last = memory[0] if memory else 0.0 * value
-            memory = (_less(_plus(last, self.inputs[order], value), below, output), *memory)
-        return output, memory
-
-    def _sums(self, value: Array, output: Array, waiting: Memory) -> Memory:
-        triples = zip(waiting, self.inputs[1:], self.outputs, strict=False)
-        return tuple(
-            _less(_plus(later, above, value), below, output) for later, above, below in triples
-        )
+        output = value * (sum(self.inputs) / (1.0 + sum(self.outputs)))
+        pairs = zip_longest(self.inputs[1:], self.outputs, fillvalue=0.0)
+        shares = [b * value - a * output for b, a in pairs]
+        return output, tuple(accumulate(shares[::-1]))[::-1]
 
 
 Chain = tuple[Equation, ...]
@@ -151,22 +145,6 @@ def run(
             value, memory = equation.step(value, memories[k])
         after.append(memory)
     return value, tuple(after)
-
-
-def _present(coefficient: Array) -> Array | None:
-    return coefficient if is_traced(coefficient) else (float(coefficient) or None)
-
-
-def _plus(total: Array, coefficient: Array | None, value: Array) -> Array:
-    return total if coefficient is None else total + coefficient * value
-
-
-def _less(total: Array, coefficient: Array | None, value: Array) -> Array:
-    return total if coefficient is None else total - coefficient * value
-
-
-def _sum(coefficients: tuple[Array | None, ...]) -> Array:
-    return sum((c for c in coefficients if c is not None), 0.0)
 
 
 # How answers about motions print themselves: the numbers of one loop, the ranges of many.
@@ -284,54 +262,56 @@ def simulate(
     require_together(stiffness=stiffness, damping=damping, force=force, **starts)
     checked_count("samples", samples, 1)
     checked_count("between", between, 0)
-    is_mass = loop.body is not None and delays is None
-    loop = loop if is_mass else loop.in_floats()
+    loop = loop.in_floats()
     period = loop.sample_time
-    stiffness, damping = checked_gain("stiffness", stiffness), checked_gain("damping", damping)
-    walls = (
-        (loop.alpha(stiffness), loop.beta(damping)) if is_mass else (stiffness, damping / period)
-    )
-    per_newton = period**2 / loop.mass if is_mass else 1.0
     values = float_arrays(
-        *walls,
-        checked("force", force) * per_newton,
+        checked_gain("stiffness", stiffness),
+        checked_gain("damping", damping) / period,
+        checked("force", force),
         checked("initial_position", initial_position),
         checked("initial_velocity", initial_velocity) * period,
     )
-    _require_excitation(*values[2:])
-    whole, fraction = divmod(loop.delay_samples if delays is None else 0.0, 1.0)
-    offsets = np.arange(between + 2) / (between + 1)
-    *causes, position, velocity = namespace(values).broadcast_arrays(*values)
-    controller = controller_for(given_filters(**loop.filters))
-    if is_mass:
-        rows = seen = propagator(loop.gamma, loop.delta, fraction, offsets)
-        start = [position, velocity]
-    else:
-        moves = mechanics(loop.held_device, period, fraction, tuple(offsets.tolist()))
-        rows, seen, start = moves.rows, moves.seen, _states(moves, position, velocity)
-    if delays is None:
-        x, v, f = _simulate(
-            causes,
-            start,
-            rows[-1],
-            seen[:-1],
-            offsets[:-1] < fraction,
-            controller,
-            samples=samples,
-            whole_delay=int(whole),
-            unilateral=unilateral,
+    if not any(is_traced(cause) or np.any(cause) for cause in values[2:]):
+        raise ValueError(
+            "force, initial_velocity and initial_position are all 0, so nothing moves: give one of "
+            "them another value."
         )
-    else:
-        given = causes, start, loop.held_device, controller, segments_of(delays), offsets.tolist()
-        x, v, f = _simulate_in_turn(*given, period, samples, unilateral)
+    if delays is not None:
+        values = list(map(np.asarray, values))
+    *walls, position, velocity = namespace(values).broadcast_arrays(*values)
+    offsets = tuple((np.arange(between + 2) / (between + 1)).tolist())
+    turns = segments_of((loop.delay_samples,) if delays is None else delays)
+    moves, ages = motion_in_turn(loop, turns, offsets)
+    x, v, f = _simulate(
+        walls,
+        _states(moves[0], position, velocity),
+        [each.rows[-1] for each in moves],
+        np.stack([each.seen[:-1] for each in moves]),
+        controller_for(given_filters(**loop.filters)),
+        samples=samples,
+        ages=ages,
+        unilateral=unilateral,
+    )
     time = np.arange(x.shape[-1]) * (period / (between + 1))
-    unit = loop.mass / period**2 if is_mass else 1.0
-    return Response(float_arrays(time, x)[0], x, v / period, f * unit)
+    return Response(float_arrays(time, x)[0], x, v / period, f)
+
+
+Ages = tuple[tuple[int, ...], ...]
+
+
+def motion_in_turn(
+    loop: LoopParameters, turns: Sequence[Segments], offsets: tuple[float, ...]
+) -> tuple[list[Mechanics], Ages]:
+    """The device in each sample of a turn, and the ages of the forces that act there."""
+    most = max(2, *map(len, turns))  # two: so that one mass has always five columns
+    filled = [(*turn, *[(0, 1.0, 1.0)] * (most - len(turn))) for turn in turns]
+    ages, begins, _ = zip(*(zip(*turn, strict=True) for turn in filled), strict=True)
+    return [mechanics(loop.held_device, loop.sample_time, own, offsets) for own in begins], ages
 
 
 def _states(moves: Mechanics, position: Array, velocity: Array) -> list[Array]:
     """The states of a device that stood at a position, and has a velocity."""
-    states = [entry * position for entry in moves.starts.at_rest]
+    states = [entry * position for entry in moves.at_rest]
     if not is_traced(velocity) and not np.any(velocity):
         return states
     if moves.thrown is None:
@@ -342,145 +322,68 @@ def _states(moves: Mechanics, position: Array, velocity: Array) -> list[Array]:
     return [entry + k * velocity for entry, k in zip(states, moves.thrown, strict=True)]
 
 
-def propagator(
-    gamma: Numbers, delta: Numbers, fraction: Numbers, offsets: Numbers
-) -> Float64[Array, "*grid offset 2 5"]:
-    """Position and velocity (rows) at times in [0, 1] after a sample.
-
-    The columns: position and velocity at the sample, the force that acts up to ``fraction``, the
-    force that acts from then on, and a force that acts all the time. Propagators of single loops
-    are cached, because one loop is evaluated at many walls.
-    """
-    gamma, delta, fraction, offsets = float_arrays(gamma, delta, fraction, offsets)
-    loop = gamma, delta, fraction
-    if namespace(loop, offsets) is np and not any(value.ndim for value in loop):
-        single = float(gamma), float(delta), float(fraction)
-        return _propagator_of_one(*single, tuple(offsets.tolist()))
-    return _propagator(gamma, delta, fraction, offsets)
-
-
-def _propagator(gamma: Array, delta: Array, fraction: Array, offsets: Array) -> Array:
-    xp = namespace(gamma, delta, fraction, offsets)
-    gamma, delta, fraction = (value[..., None] for value in (gamma, delta, fraction))
-    late = xp.maximum(offsets - fraction, 0.0)
-    times = xp.stack(xp.broadcast_arrays(offsets, late, gamma, delta)[:2])  # one batch is faster
-    whole, after = plant_transition(gamma, delta, times)
-    pushed, late = whole[..., 2:], after[..., 2:]
-    return xp.concatenate([whole[..., :2], pushed - late, late, pushed], axis=-1)
-
-
-@lru_cache(maxsize=64)
-def _propagator_of_one(
-    gamma: float, delta: float, fraction: float, offsets: tuple[float, ...]
-) -> Float64[np.ndarray, "offset 2 5"]:
-    loop = np.float64(gamma), np.float64(delta), np.float64(fraction)
-    answer: np.ndarray = _propagator(*loop, np.array(offsets))
-    answer.flags.writeable = False
-    return answer
-
-
-@compiled(static=["samples", "whole_delay", "unilateral"])
+@compiled(static=["samples", "ages", "unilateral"])
 def _simulate(
     walls: list[Array],
     start: list[Array],
-    rows: Array,
+    rows: list[Array],
     seen: Array,
-    early: Array,
     controller: Controller,
     *,
     samples: int,
-    whole_delay: int,
+    ages: Ages,
     unilateral: bool,
 ) -> tuple[Array, Array, Array]:
     """Return position, velocity and force; the times are on the last axis.
 
-    Only the step from sample to sample is a loop; what lies between follows from it at once. The
-    first state of the plant is the position. The rows take states, the force that acts up to the
-    fraction of the delay, the one from then on, and the one that acts all the time.
+    Only the step from sample to sample is a loop; what lies between follows from it at once.
     """
-    xp = namespace(walls, start, rows)
+    xp = namespace(walls, start)
     if xp is np:
-        rows = rows.tolist()
+        rows = [own.tolist() for own in rows]
     if xp is np and not walls[0].ndim:  # numbers of Python are several times faster here
         walls, start = [wall.item() for wall in walls], [state.item() for state in start]
-    step = _step_of(rows, controller, walls, unilateral=unilateral)
+    step, oldest = step_of(rows, ages, controller, walls, unilateral=unilateral)
     position = start[0]
-    zero = 0.0 * position
-    initial = (tuple(start), controller.at_rest(position), zero, (zero,) * whole_delay)
+    initial = (tuple(start), controller.at_rest(position), (0.0 * position,) * oldest)
     _, history = repeat_and_keep(samples, step, initial)
-    causes = xp.stack([xp.moveaxis(xp.asarray(cause), 0, -1) for cause in history])
-    paths = xp.einsum("ork,k...s->r...so", seen, causes)
-    held = xp.where(early, causes[-3][..., None], causes[-2][..., None])
-    x, v, f = (path.reshape(*path.shape[:-2], prod(path.shape[-2:])) for path in (*paths, held))
-    return x, v, f
-
-
-def _simulate_in_turn(
-    walls: list[Array],
-    start: list[Array],
-    device: Device,
-    controller: Controller,
-    turns: list[Segments],
-    offsets: list[float],
-    period: float,
-    samples: int,
-    unilateral: bool,
-) -> tuple[Array, Array, Array]:
-    """Return position, velocity and force, as ``_simulate``, for delays that change in turn."""
-    pieces = []  # of each sample: the age of the force, the length, and whether it is looked at
-    for segments in turns:
-        begins = [begin for _, begin, _ in segments]
-        ends = pairwise(sorted({*begins, *offsets}))
-        ages = [(segments[bisect_right(begins, begin) - 1][0], begin, end) for begin, end in ends]
-        pieces.append([(age, end - begin, begin in offsets) for age, begin, end in ages])
-    lengths = tuple(sorted({length for turn in pieces for _, length, _ in turn}))
-    moves = mechanics(device, period, 0.0, (0.0, *lengths))
-    seen = np.delete(moves.seen[0], -3, axis=1)  # the force acts from the sample on
-    rows = dict(zip(lengths, np.delete(moves.rows[1:], -3, axis=2), strict=True))
-    alpha, beta, push = walls
-    states, memory = np.stack(start), controller.at_rest(start[0])
-    forces: list[np.ndarray] = []
-    motion: list[np.ndarray] = []
-    for sample in range(samples):
-        filtered, difference, memory = controller.step(states[0], memory)
-        force = -(alpha * filtered + beta * difference)
-        forces.append(force * (states[0] > 0.0) if unilateral else force)
-        for age, length, is_seen in pieces[sample % len(pieces)]:
-            acting = forces[sample - age] if age <= sample else 0.0 * force
-            causes = np.concatenate([states, acting[None], push[None]])
-            if is_seen:
-                motion.append(np.concatenate([np.tensordot(seen, causes, 1), acting[None]]))
-            states = np.tensordot(rows[length], causes, 1)
-    x, v, f = np.stack(motion, axis=-1)
+    causes = xp.stack([xp.asarray(cause) for cause in history])
+    if len(ages) == 1:
+        paths = xp.tensordot(seen[0], causes, 1)
+    else:
+        paths = xp.einsum("sork,ks...->ors...", seen[np.arange(samples) % len(ages)], causes)
+    paths = xp.moveaxis(paths, (2, 0), (-2, -1))  # the times within a sample are the last axis
+    x, v, f = paths.reshape(*paths.shape[:-2], prod(paths.shape[-2:]))
     return x, v, f
 
 
 Step = Callable[[Any], tuple[Any, tuple[Array, ...]]]
 
 
-def _step_of(
-    rows: Any, controller: Controller, walls: Sequence[Array], *, unilateral: bool
-) -> Step:
-    """The step from sample to sample: the next state, and what moves the plant until then.
+def step_of(
+    rows: list[Any], ages: Ages, controller: Controller, walls: Sequence[Array], *, unilateral: bool
+) -> tuple[Step, int]:
+    """The step from sample to sample, and the age of the oldest force that acts.
 
-    The state: that of the plant, the memory of the controller, the force at the end of the last
-    hold, and the forces on their way, the next one to arrive first.
+    It gives the next state, and what moves the plant until then. The state: that of the plant, the
+    memory of the controller, and the forces that may still act, the newest first.
     """
     alpha, beta, push = walls
+    turn = cycle(zip(rows, ages, strict=True))
 
     # NumPy and Python are quick with plain tuples.
     def step(state: Any) -> tuple[Any, tuple[Array, ...]]:
-        plant, memory, acting, waiting = state
+        plant, memory, line = state
         x = plant[0]
         filtered, difference, memory = controller.step(x, memory)
         force = -(alpha * filtered + beta * difference)
         if unilateral:
             force = force * (x > 0.0)
-        line = (*waiting, force)
-        causes = (*plant, acting, line[0], push)
-        return (_moved(rows, causes), memory, line[0], line[1:]), causes
+        line, (own, acting) = (force, *line), next(turn)
+        causes = (*plant, *[line[age] for age in acting], push)
+        return (_moved(own, causes), memory, line[:-1]), causes
 
-    return step
+    return step, max(map(max, ages))
 
 
 def _moved(rows: Any, causes: tuple[Array, ...]) -> tuple[Array, ...]:
@@ -490,14 +393,6 @@ def _moved(rows: Any, causes: tuple[Array, ...]) -> tuple[Array, ...]:
             [a * x + b * v + c * acting + d * arriving + e * push for a, b, c, d, e in rows]
         )
     return tuple([reduce(add, map(mul, row, causes)) for row in rows])
-
-
-def _require_excitation(*causes: Array) -> None:
-    if not any(is_traced(cause) or np.any(cause) for cause in causes):
-        raise ValueError(
-            "force, initial_velocity and initial_position are all 0, so nothing moves: give one of "
-            "them another value."
-        )
 
 
 # Many walls side by side, without a hand's push: the deviation from rest.
@@ -529,25 +424,25 @@ def deviations(
     displacement, or of the velocity at an impact. They are those of a simulation, or of powers of
     its step A: of few states and many samples these take less time.
     """
-    period, (whole, fraction) = loop.sample_time, divmod(loop.delay_samples, 1.0)
-    moves = mechanics(loop.held_device, period, fraction, (1.0,))
+    (moves,), ages = motion_in_turn(loop, segments_of((loop.delay_samples,)), (1.0,))
+    rows, oldest = [moves.rows[-1].tolist()], max(*ages[0])
     controller = controller_for(given_filters(**loop.filters))
 
     def begun(stiffness: Lanes) -> Any:
         if excitation == "impact":
-            position, plant, force = 0.0, moves.starts.impact, 0.0 * stiffness
+            position, plant, force = 0.0, moves.impact, 0.0 * stiffness
         else:
             position, memory = -1.0, controller.at_rest(1.0)
             force = controller.step(1.0, memory)[0] * stiffness  # less that at rest
-            plant = np.where(moves.starts.follows, force[:, None], -moves.starts.at_rest)
-        plant = np.broadcast_to(plant, (stiffness.size, len(moves.starts.at_rest)))
-        return tuple(plant.T), controller.at_rest(position), force, (force,) * int(whole)
+            plant = np.where(moves.follows, force[:, None], -moves.at_rest)
+        plant = np.broadcast_to(plant, (stiffness.size, len(moves.at_rest)))
+        return tuple(plant.T), controller.at_rest(position), (force,) * oldest
 
-    def step_of(stiffness: Array, damping: Array) -> Step:
-        walls = stiffness, damping / period, 0.0
-        return _step_of(moves.rows[-1].tolist(), controller, walls, unilateral=False)
+    def step_at(stiffness: Array, damping: Array) -> Step:
+        walls = stiffness, damping / loop.sample_time, 0.0
+        return step_of(rows, ages, controller, walls, unilateral=False)[0]
 
-    states, plant = sum(1 for _ in leaves(begun(stiffness[:1]))), len(moves.starts.at_rest)
+    states, plant = sum(1 for _ in leaves(begun(stiffness[:1]))), len(moves.at_rest)
     by_steps = max(1, _NUMBERS // samples)  # walls
     together, products = min(by_steps, max(stiffness.size, 1)), plant * (plant + 3)
     of_steps = samples * products * (1.5e-6 / together + 5e-10)  # s a wall, about
@@ -561,9 +456,9 @@ def deviations(
         start = begun(walls[0])
         with np.errstate(all="ignore"):  # unstable walls overflow
             if is_stepped:
-                found = _stepped(step_of(*walls), start, samples)
+                found = _stepped(step_at(*walls), start, samples)
             else:
-                step = step_of(*(gain[:, None] for gain in walls))
+                step = step_at(*(gain[:, None] for gain in walls))
                 found = _by_powers(step, start, samples)
         yield own, found
 

@@ -16,6 +16,7 @@ that is doubled until every entry is known, and rounded once.
 A device in z moves from step to step by exact numbers; the hand's force and blow act there, too.
 """
 
+from collections.abc import Sequence
 from fractions import Fraction
 from functools import lru_cache
 from itertools import pairwise
@@ -48,76 +49,87 @@ if TYPE_CHECKING:
 _MOST_BITS = 1 << 14
 
 
-class Starts(NamedTuple):
-    """States from which a device begins to move; the first one is the position.
-
-    at_rest: of a device at rest at position 1 without a wall's force.
-    follows: which states are the forces of actuators; at rest they are the wall's force.
-    impact: when it hits a wall with some velocity at 0 (``after_impact``).
-    """
-
-    at_rest: Float64[np.ndarray, " state"]
-    follows: np.ndarray
-    impact: Float64[np.ndarray, " state"]
-
-
 class Mechanics(NamedTuple):
     """A device between samples; x is in m, forces in N, the unit of time is one sample.
 
-    The columns of rows are the states, then the wall's force that acts up to the fraction of the
-    delay, the one that acts from then on, and the hand's force, which acts all the time.
+    The columns of rows are the states, of which the first one is the position, then the wall's
+    forces that act in turn within a sample, and the hand's force, which acts all the time.
 
     rows: of the states, at times after a sample, the last one at the next sample.
-    seen: rows of position and velocity at the same times.
-    starts: the states at rest and at an impact.
+    seen: rows of position, velocity and the wall's force at the same times.
+    at_rest: the states of a device at rest at position 1 without a wall's force.
+    follows: which states are the forces of actuators; at rest they are the wall's force.
+    impact: the states when it hits a wall with some velocity at 0 (``after_impact``).
     thrown: those of an impact with unit velocity; None if a blow cannot throw the device so.
     """
 
     rows: Float64[np.ndarray, "offset state column"]
-    seen: Float64[np.ndarray, "offset 2 column"]
-    starts: Starts
+    seen: Float64[np.ndarray, "offset 3 column"]
+    at_rest: Float64[np.ndarray, " state"]
+    follows: np.ndarray
+    impact: Float64[np.ndarray, " state"]
     thrown: Float64[np.ndarray, " state"] | None
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=1024)  # delays in turn ask for one each
 def mechanics(
-    device: Device, sample_time: float, fraction: float, offsets: tuple[float, ...]
+    device: Device, sample_time: float, begins: tuple[float, ...], offsets: tuple[float, ...]
 ) -> Mechanics:
-    """The motion of a device at times in [0, 1] after a sample, for a fraction of the delay."""
-    if own := in_steps(device):
-        return _in_steps(own, round(sample_time / own.step), fraction, offsets)
+    """The motion of a device at times in [0, 1] after a sample, and when forces begin in it.
 
-    def asked() -> tuple[list["arb"], list["arb"], "arb_mat", list["arb_mat"]]:
+    The first one begins at 0; one that begins at 1 does not act.
+    """
+    if own := in_steps(device):
+        return _in_steps(own, round(sample_time / own.step), begins, offsets)
+
+    def asked() -> tuple[list["arb"], list["arb"], int, list["arb_mat"]]:
         sides = sides_in_samples(device, sample_time)
         matrix = equations(device, sides, sample_time)
         _, above, below = sides
         give, order = below[0] / above[0], len(below) - 1
         resting = [below[power] - give * above[power] for power in range(order - 1, 0, -1)]
-        hit = after_impact(device, sample_time)
-        return hit, resting, matrix, [_held(matrix, fraction, offset) for offset in offsets]
+        hit, actuators = after_impact(device, sample_time), matrix.ncols() - 2 - order
+        return hit, resting, actuators, [_held(matrix, begins, offset) for offset in offsets]
 
-    hit, resting, matrix, rows = decided(
+    hit, resting, actuators, rows = decided(
         asked, most=_MOST_BITS, is_answered=lambda found: all(map(_are_known, found[-1]))
     )
-    order, size = len(hit), matrix.ncols() - 2
-    forces = [0.0] * (size - order)
-    at_rest = np.array([1.0, *map(_float, resting), *forces])
+    forces = [0.0] * actuators
     impact = np.array([*map(_float, hit), *forces])
-    velocity = np.array([_float(matrix[0, column]) for column in range(size + 2)])
     values = np.array(list(map(_floats, rows)))
-    early = (np.array(offsets) < fraction)[:, None]
-    acting = velocity[size] * np.where(early, [1.0, 0.0], [0.0, 1.0])
-    direct = np.concatenate(
-        [np.zeros((len(offsets), size)), acting, np.full((len(offsets), 1), velocity[-1])], axis=1
-    )
-    speeds = np.einsum("s,osc->oc", velocity[:size], values) + direct
-    is_thrown = order > 1 and impact[0] == 0.0 and impact[1] != 0.0
+    is_thrown = len(hit) > 1 and impact[0] == 0.0 and impact[1] != 0.0
     return Mechanics(
-        rows=values,
-        seen=np.stack([values[:, 0], speeds], axis=1),
-        starts=Starts(at_rest, np.arange(size) >= order, impact),
+        rows=values[:, :-1],
+        seen=_seen(values[:, 0], values[:, -1], begins, offsets),
+        at_rest=np.array([1.0, *map(_float, resting), *forces]),
+        follows=np.arange(len(impact)) >= len(hit),
+        impact=impact,
         thrown=impact / impact[1] if is_thrown else None,
     )
+
+
+def _held(matrix: "arb_mat", begins: tuple[float, ...], offset: float) -> "arb_mat":
+    """Rows of the states, and of the velocity, at a time after a sample."""
+    columns = matrix.ncols()
+    states = (flint.arb_mat(columns, columns) + 1).tolist()[:-2]
+    seen = flint.arb_mat([*states, matrix.tolist()[0]])
+    times = [flint.arb(exact(offset) - exact(begin)) for begin in begins if begin <= offset]
+    moved = [(seen * (matrix * time).exp()).tolist() for time in times]
+    late = [[row[-2] for row in rows] for rows in moved]
+    late += [[flint.arb(0)] * len(moved[0])] * (len(begins) + 1 - len(late))
+    pushed = ([new - newer for new, newer in pairwise(each)] for each in zip(*late, strict=True))
+    rows = zip(moved[0], pushed, strict=True)
+    return flint.arb_mat([[*row[:-2], *own, row[-1]] for row, own in rows])
+
+
+def _seen(
+    position: np.ndarray, velocity: np.ndarray, begins: Sequence[float], offsets: Sequence[float]
+) -> Float64[np.ndarray, "offset 3 column"]:
+    """Rows of position, velocity, and of the force that acts."""
+    acting, forces = np.zeros_like(position), len(begins)
+    last = np.searchsorted(begins, offsets, side="right") - forces - 2
+    acting[np.arange(len(offsets)), last] = 1.0
+    return np.stack([position, velocity, acting], axis=1)
 
 
 def after_impact(device: Device, sample_time: float) -> list["arb"]:
@@ -161,10 +173,10 @@ def _free_path(device: Device) -> Rational | None:
 
 
 def _in_steps(
-    device: InSteps, count: int, fraction: float, offsets: tuple[float, ...]
+    device: InSteps, count: int, begins: tuple[float, ...], offsets: tuple[float, ...]
 ) -> Mechanics:
     """The same of a device in z with so many steps a sample."""
-    places, late = count * np.array(offsets), round(fraction * count)
+    places = count * np.array(offsets)
     steps = np.rint(places).astype(int).tolist()
     if not np.allclose(places, steps, rtol=0.0, atol=1e-6):
         raise ValueError(
@@ -173,14 +185,13 @@ def _in_steps(
         )
     held, velocity = held_steps(device)
     size = held.nrows() - 1
-    whole = [held**step for step in steps]
-    newer = [held ** max(step - late, 0) for step in steps]
-    values = np.zeros((len(steps), size, size + 3))
-    for at, (all_of_it, new) in enumerate(zip(whole, newer, strict=True)):
-        values[at, :, :size] = _of_fractions(all_of_it)[:size, :size]
-        values[at, :, size + 1] = _of_fractions(new)[:size, size]
-        values[at, :, size] = _of_fractions(all_of_it - new)[:size, size]
-        values[at, :, size + 2] = _of_fractions(all_of_it)[:size, size]
+    values = []
+    for step in steps:
+        late = [held ** max(step - round(begin * count), 0) for begin in (*begins, 1.0)]
+        pushed = [_of_fractions(new - newer)[:size, size:] for new, newer in pairwise(late)]
+        whole = _of_fractions(held**step)[:size]
+        values.append(np.hstack([whole[:, :size], *pushed, whole[:, size:]]))
+    rows = np.array(values)
     first: Any = [[int(k == 0) for k in range(size + 1)]]
     resting = flint.fmpq_mat((held - held**0).tolist()[:size] + first)
     try:
@@ -190,14 +201,14 @@ def _in_steps(
             f"the device ({device}) has zero DC gain: its transfer function in z is 0 at z = 1; "
             "give one that moves under a constant force."
         ) from None
-    speeds, thrown = np.full((len(steps), size + 3), np.nan), None
+    speeds, thrown = np.full_like(rows[:, 0], np.nan), None
     if velocity is not None:
         row = _of_fractions(velocity)[0] * (device.step * count)
-        speeds = np.einsum("s,osc->oc", row, values)
+        speeds = np.einsum("s,osc->oc", row, rows)
         thrown = np.eye(size)[1] / row[1] if size == 2 and row[1] else None
     blow = count * _of_fractions(held)[:size, size]
-    seen = np.stack([values[:, 0], speeds], axis=1)
-    return Mechanics(values, seen, Starts(at_rest, np.zeros(size, bool), blow), thrown)
+    seen = _seen(rows[:, 0], speeds, begins, offsets)
+    return Mechanics(rows, seen, at_rest, np.zeros(size, bool), blow, thrown)
 
 
 def _of_fractions(exact_numbers: "fmpq_mat") -> Float64[np.ndarray, "row column"]:
@@ -288,7 +299,7 @@ def handle_equations(device: Device, sample_time: float) -> HandleEquations:
         fastest = max(2.0 ** speed_of(of_samples[1]), *turns, 1.0)
         ticks = 2.0 ** ceil(log2(fastest))
         tick = sample_time / ticks
-        moves = mechanics(device, tick, 0.0, (0.0,))
+        moves = mechanics(device, tick, (0.0,), (0.0,))
         matrix = equations(device, sides_in_samples(device, tick), tick)
         columns = matrix.ncols()
         if moves.thrown is None or matrix[0, columns - 1] != 0 or not matrix[1, columns - 1] > 0:
@@ -300,18 +311,11 @@ def handle_equations(device: Device, sample_time: float) -> HandleEquations:
         there, back = (flint.arb_mat(columns, columns) + 1 for _ in range(2))
         there[1, 0], back[1, 0] = matrix[0, 0], -matrix[0, 0]
         rows = (there * matrix * back).tolist()[:-2]
-    at_rest = moves.starts.at_rest.copy()
+    at_rest = moves.at_rest.copy()
     at_rest[1] = 0.0
     pull = columns - 3 if device.bandwidths else columns - 2
     rates = np.array([[_float(entry) for entry in row] for row in rows])
     return HandleEquations(rates, pull, at_rest, moves.thrown, ticks)
-
-
-def _held(matrix: "arb_mat", fraction: float, offset: float) -> "arb_mat":
-    whole = (matrix * flint.arb(exact(offset))).exp()
-    late = flint.arb(exact(offset)) - flint.arb(exact(fraction))
-    after = (matrix * late).exp() if offset > fraction else None
-    return flint.arb_mat(_by_forces(whole, after)[:-2])
 
 
 def _by_forces(whole: "arb_mat", late: "arb_mat | None") -> "list[list[arb]]":
