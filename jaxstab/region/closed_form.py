@@ -10,8 +10,7 @@ With h = 1 - cos th, at z = r e^(i th),
     kappa = r + d0/r,  eps = r - d0/r,  sigma = n2 r + n0/r,  nu = n2 r - n0/r,
 
 so everything is real arithmetic, and each half of the circle has a basis without cancellation:
-z = r for th < pi/2 and z = -r for th > pi/2. For th < pi/2 alpha is the line z = r plus terms that
-all carry the factor h, divided out by hand.
+z = r for th < pi/2 and z = -r for th > pi/2.
 
 It is for the wall of the paper, of any number of slices at once, and under JAX; equations for a
 root on the unit circle follow, with estimators and filters. Regions are found by the curve of any
@@ -208,70 +207,30 @@ def parity(c: SliceCoefficients) -> Array:
 @compiled(many=MANY_ANGLES)
 def curve_point(c: SliceCoefficients, theta: Array) -> tuple[Array, Array]:
     """Return (alpha, beta) of the curve at angles in [0, pi] that broadcast with the slices."""
-    vanishing = 1e-3  # of the terms of N(r): below, alpha is not computed from the line z = r
     xp = namespace(c, theta)
     upper = theta > pi / 2
     # XLA would otherwise add the two parts of pi first.
-    folded = xp.where(upper, kept(pi - theta) + PI_REST, theta)
-    circle = _circle(c.turns, 0.5 * folded)
-    real, slope, scale = _quotient(c, upper, circle)
-
-    sign = xp.where(upper, parity(c), 1.0)
-    swing = circle.sine_ratio * real - circle.cosine * slope
-    beta = xp.where(upper, sign, -1.0) * (scale * c.radius * swing)
-    h = xp.where(upper, circle.far, circle.near)  # 1 - cos(theta)
-    turned = circle.cosine * real + circle.sine_ratio * circle.sine_square * slope
-    offset, plus_slope = c.plus_line
-    direct = -beta * (plus_slope + h / c.radius) - sign * (scale * turned)
-    lift = -beta / c.radius + scale * (
-        circle.lag_ratio * real
-        - circle.far * (c.nu * (c.eps - c.ratio * c.nu) + circle.sine_ratio * slope)
-        - (c.num_plus - c.sigma * circle.near) * (c.ratio * c.sigma - c.kappa)
-    )
-    vanishes = abs(c.num_plus) < vanishing * (abs(c.sigma) + abs(c.nu))
-    return xp.where(upper | vanishes, direct, offset - plus_slope * beta + h * lift), beta
-
-
-class _Circle(NamedTuple):
-    """Functions of an angle u = 2 half in [0, pi/2].
-
-    ``near`` and ``far`` are 1 - cos u and 1 + cos u, ``cosine`` is cos(m u), ``sine_ratio`` is
-    sin(m u) / sin(u) and ``lag_ratio`` (1 - cos(m u)) / (1 - cos u).
-    """
-
-    near: Array
-    far: Array
-    sine_square: Array
-    cosine: Array
-    sine_ratio: Array
-    lag_ratio: Array
-
-
-def _circle(turns: Array, half: Array) -> _Circle:
-    sine, cosine, sinc = zip(_sines_of_small(half), sines(turns * half), strict=True)
+    half = 0.5 * xp.where(upper, kept(pi - theta) + PI_REST, theta)
+    sine, cosine, sinc = zip(_sines_of_small(half), sines(c.turns * half), strict=True)
     near, far = 2.0 * sine[0] ** 2, 2.0 * cosine[0] ** 2
-    half_ratio = turns * sinc[1] / sinc[0]
-    return _Circle(
-        near=near,
-        far=far,
-        sine_square=near * far,
-        cosine=(cosine[1] - sine[1]) * (cosine[1] + sine[1]),
-        sine_ratio=half_ratio * cosine[1] / cosine[0],
-        lag_ratio=half_ratio**2,
+    square = near * far
+    sign = xp.where(upper, parity(c), 1.0)
+    ratio = (c.turns * sinc[1] * cosine[1]) / (sinc[0] * cosine[0])
+    turn = (
+        sign * (cosine[1] - sine[1]) * (cosine[1] + sine[1]),
+        xp.where(upper, -sign, sign) * ratio,
     )
+    d = _real_part(upper, near, c.den_plus, c.den_minus, c.kappa)
+    q = _real_part(upper, near, c.num_plus, c.num_minus, c.sigma)
+    real, slope = _product(turn, _product((d, c.eps), (q, -c.nu), square), square)
+    scale = -c.gain / (q**2 + c.nu**2 * square)
+    beta = scale * slope * c.radius
+    return scale * real - beta * (c.plus_line[1] + xp.where(upper, far, near) / c.radius), beta
 
 
-def _quotient(c: SliceCoefficients, upper: Array, circle: _Circle) -> tuple[Array, Array, Array]:
-    """Return D/N times (-z)^(m - 1) r^m as scale (real + i slope sin u), by the folded angle u.
-
-    Where the angle is folded, d and q have the other sign; their products have not.
-    """
-    xp = namespace(c, circle)
-    d = c.kappa * circle.near - xp.where(upper, c.den_minus, c.den_plus)
-    q = c.sigma * circle.near - xp.where(upper, c.num_minus, c.num_plus)
-    real = d * q + c.eps * c.nu * circle.sine_square
-    scale = c.gain / (q**2 + c.nu**2 * circle.sine_square)
-    return real, c.eps * q - c.nu * d, scale
+def _real_part(upper: Array, near: Array, at_plus: Array, at_minus: Array, slope: Array) -> Array:
+    """Return d or q by 1 - cos of the angle from the nearer end, from the values at both ends."""
+    return namespace(near).where(upper, slope * near - at_minus, at_plus - slope * near)
 
 
 # The two equations of a root on the unit circle, with any estimator and filter:
@@ -449,16 +408,11 @@ def circle_equations(
     folded = xp.where(upper, (pi - theta) + PI_REST, theta)
     square = xp.sin(folded) ** 2
     cosine_m, ratio_m = turns_over_sine(xp.floor(delay) + 1.0, theta)
-    near, far = 2.0 * xp.sin(0.5 * folded) ** 2, 2.0 * xp.cos(0.5 * folded) ** 2
-    h, mirror_h = xp.where(upper, far, near), xp.where(upper, near, far)  # 1 -+ cos(theta)
+    near = 2.0 * xp.sin(0.5 * folded) ** 2
     kappa, eps, sigma, nu = 1.0 + c.d0, -xp.expm1(-delta), c.n2 + c.n0, c.n2 - c.n0
-    d = xp.where(upper, kappa * mirror_h - (1.0 - c.d1 + c.d0), c.den_at_one - kappa * h)
-    q = xp.where(upper, sigma * mirror_h - c.difference, c.sum - sigma * h)
+    d = _real_part(upper, near, c.den_at_one, 1.0 - c.d1 + c.d0, kappa)
+    q = _real_part(upper, near, c.sum, c.difference, sigma)
     position, velocity = responses.over_sine(theta)
-    wall, wall_turned = (alpha * p + beta * v for p, v in zip(position, velocity, strict=True))
-    # (N/z) H = push + i sin(theta) turned
-    push = q * wall - nu * wall_turned * square
-    turned = q * wall_turned + nu * wall
-    real = d + cosine_m * push + ratio_m * square * turned
-    imaginary = eps + cosine_m * turned - ratio_m * push
-    return real, imaginary
+    wall = tuple(alpha * p + beta * v for p, v in zip(position, velocity, strict=True))
+    turned = _product((cosine_m, -ratio_m), _product((q, nu), wall, square), square)
+    return d + turned[0], eps + turned[1]
