@@ -1,5 +1,6 @@
 """Guards of random scenes: nearly all are built, grant what is proved, and nothing unstable."""
 
+import re
 from typing import NamedTuple
 
 import numpy as np
@@ -169,14 +170,19 @@ def test_31_10_what_nothing_damps_has_a_guard() -> None:
     assert weak > 0.0
 
 
+def planned(loop: HapticLoop, *cells: tuple[int, int, int]) -> list[int]:
+    """The cells of a plan, and the seconds that it takes, usually and at most."""
+    return list(map(int, re.findall(r"(\d+) (?:cells|s) ", plan_guard(loop, *cells))))
+
+
 def test_31_10_the_plan_of_a_guard_is_within_its_time() -> None:
-    assert plan_guard(WHEEL.loop).cells == 4 * 16  # of a delay that moves
-    plan = plan_guard(WHEEL.loop, CONSTANT_CELLS)
-    assert plan.cells == 4 * 8 * 16
-    assert plan.seconds[0] <= plan.seconds[1] <= 30.0
+    assert planned(WHEEL.loop)[0] == 4 * 16  # of a delay that moves
+    cells, usual, most = planned(WHEEL.loop, CONSTANT_CELLS)
+    assert cells == 4 * 8 * 16
+    assert usual <= most <= 30
     arm = jaxstab.Hand.mass_spring_damper(0.1, damping=1.0).with_grip(stiffness=2000.0, damping=4.0)
     device = jaxstab.Device.mass_spring_damper(0.25, damping=0.5).held_by(arm)
-    assert plan_guard(HapticLoop(device=device, sample_time=1e-3)).seconds[1] <= 60.0
+    assert planned(HapticLoop(device=device, sample_time=1e-3))[2] <= 60
 
 
 @pytest.mark.campaign

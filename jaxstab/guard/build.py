@@ -6,7 +6,7 @@ A cell that is not proved within a number of boxes grants no wall.
 from collections.abc import Callable
 from functools import partial
 from itertools import product
-from math import frexp
+from math import frexp, prod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -189,32 +189,18 @@ def build_guard(
     return Guard(loop, hands, mass, delay, grid, units, rows, lost)
 
 
-class GuardPlan(NamedTuple):
-    """The work of proving a guard: cells of mass, delay and damping, each for all hands and angles.
-
-    ``most_boxes`` is the largest number of boxes of loops, ``seconds`` the CPU time that this takes
-    on an ordinary computer, usually and at most.
-    """
-
-    cells: int
-    most_boxes: int
-    seconds: tuple[float, float]
-
-    def __str__(self) -> str:
-        noun, each = ("cells", "each ") if self.cells > 1 else ("cell", "")
-        return (
-            f"{self.cells} {noun} of mass, delay and damping, {each}for all hands and frequencies: "
-            f"usually {self.seconds[0]:.0f} s of CPU time, at most {self.seconds[1]:.0f} s "
-            f"({self.most_boxes:,} boxes of loops)"
-        )
-
-
-def plan_guard(loop: LoopParameters, cells: tuple[int, int, int] = CELLS) -> GuardPlan:
-    """The work of ``build_guard``, and about how long it takes."""
+def plan_guard(loop: LoopParameters, cells: tuple[int, int, int] = CELLS) -> str:
+    """The work of ``build_guard``, and the CPU time that it takes on an ordinary computer."""
     boundaries, box = 2.0, 1e-5  # s that they take
-    count, work = int(np.prod(cells)), _work_of(loop)
-    usual = boundaries + min(count * work.usual, work.most) * box
-    return GuardPlan(count, work.most, (usual, boundaries + work.most * box))
+    count, work = prod(cells), _work_of(loop)
+    usual, most = (
+        boundaries + min(boxes, work.most) * box for boxes in (count * work.usual, work.most)
+    )
+    noun, each = ("cells", "each ") if count > 1 else ("cell", "")
+    return (
+        f"{count} {noun} of mass, delay and damping, {each}for all hands and frequencies: usually "
+        f"{usual:.0f} s of CPU time, at most {most:.0f} s ({work.most:,} boxes of loops)"
+    )
 
 
 def _work_of(loop: LoopParameters) -> _Work:

@@ -4,6 +4,7 @@ import re
 from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from itertools import product
+from textwrap import fill
 from typing import NamedTuple
 
 import numpy as np
@@ -289,15 +290,7 @@ def checked_name(name: str) -> str:
 
 
 def _table(values: np.ndarray) -> str:
-    """Return whole numbers as an initialiser; each row of the last axis begins a line."""
-    width = 96
+    """Whole numbers as an initialiser; each row of the last axis begins a line."""
     if values.ndim > 1:
         return ",\n".join("{" + _table(row) + "}" for row in values)
-    lines, line = [], ""
-    for value in values:
-        word = f"{int(value)},"
-        if len(line) + len(word) > width:
-            lines.append(line)
-            line = ""
-        line += word
-    return "\n".join([*lines, line]).rstrip(",")
+    return fill(", ".join(map(str, values.astype(int).tolist())), 108).replace(", ", ",")

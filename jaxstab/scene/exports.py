@@ -87,7 +87,7 @@ def scene_guard(
 
 def guard_plan(scene: Scene, cells: tuple[int, int, int] | None) -> str:
     """Describe what ``scene_guard`` will compute, and about how long that takes."""
-    return str(plan_guard(_loop_of(scene), cells or _cells_of(scene)))
+    return plan_guard(_loop_of(scene), cells or _cells_of(scene))
 
 
 def _loop_of(scene: Scene) -> HapticLoop:
