@@ -199,16 +199,12 @@ class Loop(TwoGains):
             >>> double.verdict(kp=1.0, kd=1.0)
             <Verdict.STABLE: 1>
         """
-        sides = {"base": base, "first": first, "second": second}
-        for name, side in sides.items():
+        checked = []
+        for name, side in (("base", base), ("first", first), ("second", second)):
             if not isinstance(side, Sequence | np.ndarray):
                 raise TypeError(f"{name} is {shortened(side)}; give a list of coefficients.")
-        checked = [
-            tuple(_coefficient(f"{name}[{k}]", c) for k, c in enumerate(side))
-            for name, side in sides.items()
-        ]
-        for name, side in zip(sides, checked, strict=True):
-            if not any(c != 0 and c != (0, 0) for c in side):
+            checked.append(tuple(_coefficient(f"{name}[{k}]", c) for k, c in enumerate(side)))
+            if not any(c != 0 and c != (0, 0) for c in checked[-1]):
                 raise ValueError(f"{name} is 0; give a polynomial with a coefficient that is not.")
         given: Any = gains
         names = tuple(map(str, given)) if isinstance(given, Sequence) else ()
@@ -241,15 +237,11 @@ class Loop(TwoGains):
             [2, 1, 2]
         """
         pair = self._named((), gains)
-        grid = self._few(pair)
-        if grid is not None:
-            return self._verdicts(grid)
         codes = self._codes(pair)
-        if is_jax(codes):
-            return named(codes, Verdict)
-        codes, grid = np.array(codes), wall_grid(**pair)
-        for place in np.flatnonzero(codes == Verdict.UNDECIDED):
-            codes.flat[place] = self._verdict(*grid.reshape(-1, 2)[place].tolist())
+        if self._few(pair) is None and not is_jax(codes):
+            codes, grid = np.array(codes), wall_grid(**pair)
+            for place in np.flatnonzero(codes == Verdict.UNDECIDED):
+                codes.flat[place] = self._verdict(*grid.reshape(-1, 2)[place].tolist())
         return named(codes, Verdict)
 
     def _verdict(self, first: float, second: float) -> Verdict:
@@ -363,19 +355,13 @@ class Loop(TwoGains):
         if not gains.size:
             return np.full(2, np.nan)
         best = gains[(np.argmin if is_least else np.argmax)(gains[:, axis])].copy()
-        if not np.all(np.isfinite(best)):
-            return best
-        found = []
-        for side in (0.0, -1e-12, 1e-12, -1e-8, 1e-8, -1e-5, 1e-5, -1e-3, 1e-3):
-            place = best[1 - axis] * (1.0 + side)  # at a corner the row may miss its interval
-            for ends in self.intervals(**{self.gains[1 - axis].name: float(place)}).intervals:
-                end = ends[0 if is_least else 1]
-                value = end.value if end.value > end.error else 0.0
-                found.append((abs(value - best[axis]), value, place))
-            if found and min(found)[0] <= 1e-6 * best[axis]:
-                break
-        if found:
-            best[axis], best[1 - axis] = min(found)[1:]
+        if np.all(np.isfinite(best)):
+            row = self.intervals(**{self.gains[1 - axis].name: float(best[1 - axis])})
+            ends = [pair[0 if is_least else 1] for pair in row.intervals]
+            values = [end.value if end.value > end.error else 0.0 for end in ends]
+            near = min(values, key=lambda value: abs(value - best[axis]), default=np.inf)
+            if abs(near - best[axis]) <= 1e-4 * best[axis]:  # at a corner the row may miss it
+                best[axis] = near
         return best
 
     def margins(self, **gains: Numbers) -> GainMargins:
@@ -398,7 +384,7 @@ class Loop(TwoGains):
         """
         grid = wall_grid(**self._named((), gains))
         labels = names_of(self.gains).labels
-        return margins_of_gains(self._triple, np.asarray(self._verdicts(grid)), grid, labels)
+        return margins_of_gains(self._triple, self._verdicts(grid), grid, labels)
 
     def tune(self) -> TunedGains:
         """The gains >= 0 of the smallest spectral radius: the fastest decay.
@@ -487,7 +473,7 @@ class Loop(TwoGains):
         """
         level, horizon = checked_level(level, "impact"), checked_count("horizon", horizon, 1)
         grid = wall_grid(**self._named((), gains))
-        codes = np.asarray(self._verdicts(grid))
+        codes = self._verdicts(grid)
         samples = np.where(codes == Verdict.UNSTABLE, inf, np.nan)
         for k, pair in stable_pairs(codes, grid):
             samples.flat[k] = motion_settled_after(self._triple, *pair, level, horizon)

@@ -6,7 +6,6 @@ theta is a frequency of theta/(2 pi T) Hz. The margin of the delay of a held dev
 ``margins``: an extra delay is no lag alone, for the force then acts between the samples.
 """
 
-from collections.abc import Mapping
 from dataclasses import replace
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from functools import partial
@@ -18,19 +17,16 @@ from jaxtyping import Float64, Int8
 
 from jaxstab.arrays import Numbers, named
 from jaxstab.conventions import Verdict
-from jaxstab.exact import DelayStatus, Reading, frequency_response, readings, wall_verdict
+from jaxstab.exact import DelayStatus, Reading, readings, wall_verdict
 from jaxstab.loop.margins import longer_delay, many_text, stable_pairs, verdict_words
-from jaxstab.model.balls import Factored, ball_triple
+from jaxstab.model.balls import ball_triple
 from jaxstab.model.loop import LoopParameters
 from jaxstab.model.parameters import LONGEST_DELAY, wall_grid
-from jaxstab.numbers import checked_number, checked_word
 from jaxstab.rounding import UNIT
 from jaxstab.shown import number_text, rounded_text, table_text
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-OpenLoop = tuple[Factored, Factored]
+    pass
 
 
 class AtFrequency(NamedTuple):
@@ -169,22 +165,3 @@ def delay_reading(loop: LoopParameters, *wall: float) -> Reading:
         if wall_verdict(partial(ball_triple, later), K, B).verdict == Verdict.UNSTABLE:
             return Reading(most, beyond - now - most + 4.0 * ulp(beyond), angle)
     return Reading(most, inf, angle)
-
-
-def plot(
-    loop: Any, kind: str, wall: tuple[Any, ...], gains: Mapping[str, Any], ax: "Axes | None"
-) -> "Axes":
-    """Draw the stable gains of a loop, or L of one pair of gains: ``loop.plot``."""
-    checked_word("kind", kind, ("region", "nyquist", "bode"))
-    if kind == "region":
-        from jaxstab.pictures.style import plot_loop
-
-        if wall or gains:
-            raise TypeError('gains are given beside kind "region", which is of all gains.')
-        return plot_loop(loop, ax)
-    from jaxstab.pictures.frequency import plot_open_loop
-
-    pair = [checked_number(*gain) for gain in loop._named(wall, gains).items()]
-    response = partial(frequency_response, partial(loop._opened, *pair))
-    margins = loop._frequency_margins(*pair)
-    return plot_open_loop(kind, margins, response, float(loop.sample_time), ax)

@@ -8,6 +8,7 @@ for ``jaxstab.point``.
 """
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, TypeVar
 
 import numpy as np
@@ -16,17 +17,16 @@ from jaxtyping import Complex128, Float64
 from jaxstab import motion, point
 from jaxstab.arrays import Array, Numbers, is_any_jax, is_any_traced, named, namespace
 from jaxstab.conventions import RadiusStatus, Verdict
-from jaxstab.exact import poles, spectral_radius, stable_line, wall_verdict
+from jaxstab.exact import frequency_response, poles, spectral_radius, stable_line, wall_verdict
 from jaxstab.model.parameters import wall_grid
-from jaxstab.numbers import checked_number
+from jaxstab.numbers import checked_number, checked_word
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from jaxstab.exact import StableLine
-    from jaxstab.loop.frequency import FrequencyMargins, OpenLoop
-    from jaxstab.model.balls import Triple
-    from jaxstab.model.linear_loop import LinearLoop
+    from jaxstab.loop.frequency import FrequencyMargins
+    from jaxstab.model.balls import Factored
 
 Answer = TypeVar("Answer")
 
@@ -60,6 +60,7 @@ class TwoGains:
     """
 
     _by_place: ClassVar[bool] = False
+    _only_few: Any = False  # float64 has no digits for a grid of gains
     _delay_margin: ClassVar[Any] = None  # of pairs of gains, beside that of whole samples
     _spring: Any = (0.0, 0.0)  # what holds the device beside the first gain; the same in units
     shape: Any = ()
@@ -67,30 +68,16 @@ class TwoGains:
         gains: Any
         region: Any
         sample_time: Any
-
-    def _triple(self) -> "Triple":
-        """The parts of p(z) in balls of the precision that is set."""
-        raise NotImplementedError
-
-    def _in_units(self, first: Numbers, second: Numbers) -> tuple[Array, Array]:
-        """Gains, checked, as those of ``_pairs``."""
-        raise NotImplementedError
-
-    @property
-    def _pairs(self) -> "LinearLoop":
-        """The parts of a monic p(z) in pairs of float64, by gains of size 1."""
-        raise NotImplementedError
-
-    @property
-    def _scale(self) -> tuple[float, float]:
-        """Gains, or those of the chart, that are 1 in ``_pairs`` and regions."""
-        raise NotImplementedError
+        _triple: Any  # the parts of p(z) in balls of the precision that is set
+        _pairs: Any  # those of a monic p(z) in pairs of float64, by gains of size 1
+        _in_units: Any  # gains, checked, as those of ``_pairs``
+        _scale: Any  # gains, or those of the chart, that are 1 in ``_pairs`` and regions
 
     def _of_chart(self, first: Array, second: Array) -> tuple[Array, Array]:
         """Coordinates of regions as gains."""
         return first, second
 
-    def _opened(self, first: float, second: float) -> "OpenLoop":
+    def _opened(self, first: float, second: float) -> "tuple[Factored, Factored]":
         """D and N of the open loop N/D."""
         triple = self._triple()
         return triple.base, triple.stiffness.scaled(first).plus(triple.damping.scaled(second))
@@ -120,7 +107,8 @@ class TwoGains:
         pair = self._named(wall, gains)
         grid = self._few(pair)
         if grid is None:
-            radii: point.SpectralRadius = self._on_grid("spectral_radius", pair)
+            radii: point.SpectralRadius
+            radii = self._on_grid("spectral_radius", self._in_units(*pair.values()))
             return radii
         found = np.transpose(_each(grid, lambda *own: spectral_radius(self._triple, *own)))
         value, error, status = np.reshape(found, (3, *grid.shape[:-1]))
@@ -148,7 +136,7 @@ class TwoGains:
             values = _each(grid, lambda *own: poles(self._triple, *own).values)
             if not np.any(np.isnan(values)):
                 return np.reshape(values, (*grid.shape[:-1], -1))
-        found: Array = self._on_grid("closed_loop_poles", pair)
+        found: Array = self._on_grid("closed_loop_poles", self._in_units(*pair.values()))
         return found
 
     def oscillation(self, *wall: Numbers, **gains: Numbers) -> "motion.Oscillation":
@@ -262,9 +250,20 @@ class TwoGains:
             >>> loop.plot().get_xlabel(), loop.plot("bode", kp=1000.0, kd=20.0).get_xlabel()
             ('kp (N m/rad)', 'frequency (Hz)')
         """
-        from jaxstab.loop.frequency import plot
+        checked_word("kind", kind, ("region", "nyquist", "bode"))
+        if kind == "region":
+            from jaxstab.pictures.style import plot_loop
 
-        return plot(self, kind, wall, gains, ax)
+            if wall or gains:
+                raise TypeError('gains are given beside kind "region", which is of all gains.')
+            loop: Any = self
+            return plot_loop(loop, ax)
+        from jaxstab.pictures.frequency import plot_open_loop
+
+        pair = [checked_number(*gain) for gain in self._named(wall, gains).items()]
+        response = partial(frequency_response, partial(self._opened, *pair))
+        margins = self._frequency_margins(*pair)
+        return plot_open_loop(kind, margins, response, float(self.sample_time), ax)
 
     def to_control(self, *wall: float, **gains: float) -> Any:
         """The open loop L(z) = (a S + b R)/base as a transfer function of python-control.
@@ -315,22 +314,20 @@ class TwoGains:
         grid = wall_grid(**pair)
         return grid if 0 < grid.size <= 2 * _FEW or self._only_few else None
 
-    @property
-    def _only_few(self) -> bool:
-        """True if float64 has no digits for a grid of gains."""
-        return False
-
-    def _on_grid(self, question: str, pair: Mapping[str, Any], **options: Any) -> Any:
-        """The answer of ``jaxstab.point`` to many gains."""
-        return _ON_GRIDS[question](*self._in_units(*pair.values()), self._pairs, **options)
+    def _on_grid(self, question: str, units: tuple[Array, Array], **options: Any) -> Any:
+        """The answer of ``jaxstab.point`` to many gains, in units."""
+        return _ON_GRIDS[question](*units, self._pairs, **options)
 
     def _codes(self, pair: Mapping[str, Any], **options: Any) -> Any:
-        """Verdicts on many gains; UNDECIDED where float64, in units, changes the sign of p(1)."""
-        codes = self._on_grid("verdict", pair, **options)
+        """Verdicts; of many gains UNDECIDED where float64, in units, changes the sign of p(1)."""
+        grid = self._few(pair)
+        if grid is not None:
+            return self._verdicts(grid)
+        units = self._in_units(*pair.values())
+        codes = self._on_grid("verdict", units, **options)
         if self._only_few:  # JAX traces gains that are not those of the chart
             return codes
-        first, _ = pair.values()
-        alpha, (spring, gamma) = self._in_units(first, 0.0)[0], self._spring
+        (first, _), (alpha, _), (spring, gamma) = pair.values(), units, self._spring
         if not is_any_traced(first, alpha, spring):  # JAX would take tiny numbers for 0
             first, alpha, spring, gamma = map(np.asarray, (first, alpha, spring, gamma))
         xp = namespace(first, alpha, spring)
@@ -345,8 +342,7 @@ class TwoGains:
         return wall_frequency_margins(self, first, second)
 
     def _verdicts(self, grid: Float64[np.ndarray, "*grid 2"]) -> Any:
-        codes = np.array(_each(grid, self._verdict), np.int8)
-        return named(codes.reshape(grid.shape[:-1]), Verdict)
+        return np.array(_each(grid, self._verdict), np.int8).reshape(grid.shape[:-1])
 
 
 def _each(

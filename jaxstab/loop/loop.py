@@ -1,6 +1,6 @@
 """The haptic loop: one value in SI units, its answers as methods."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, overload
@@ -171,11 +171,9 @@ class HapticLoop(LoopParameters, TwoGains):
         if found := measured(self):
             return found.limits()
         if is_any_traced(self):
-            from jaxstab.loop.many import common_form
-            from jaxstab.loop.moving import moving_regions
+            from jaxstab.loop.many import limits_of
 
-            moved = moving_regions(self, common_form([self]), outlines=False)
-            return WallLimits(*moved.limits[:-1])
+            return WallLimits(*limits_of(self)[:-1])
         return self.region().limits()
 
     def stiffness_limits(self, damping: Numbers) -> Float64[Array, "*grid 2"]:
@@ -362,10 +360,9 @@ class HapticLoop(LoopParameters, TwoGains):
             >>> print(f"settles in {1e3 * loop.tune().settling_time:.0f} ms")
             settles in 6 ms
         """
-        from jaxstab.loop.tune import checked_chatter, optimal_wall
+        from jaxstab.loop.tune import optimal_wall
 
-        disturbed = checked_chatter(encoder, chatter)
-        return optimal_wall(self, goal, stiffness, level, excitation, disturbed)
+        return optimal_wall(self, goal, stiffness, level, excitation, encoder, chatter)
 
     def worst_hand(
         self,
@@ -499,9 +496,6 @@ class HapticLoop(LoopParameters, TwoGains):
         if found := measured(self):
             return found.verdict(stiffness, damping)
         pair = {"stiffness": stiffness, "damping": damping}
-        grid = self._few(pair)
-        if grid is not None:
-            return self._verdicts(grid)
         return named(self._codes(pair, resolve=resolve), Verdict)
 
     def margins(self, stiffness: Numbers, damping: Numbers) -> "Margins":
@@ -755,19 +749,20 @@ class HapticLoop(LoopParameters, TwoGains):
         """
         self._refuse_tracers("simulate")
         refuse_arrays(self)
-        options: dict[str, Any] = {
-            "samples": samples, "force": force, "initial_velocity": initial_velocity,
-            "initial_position": initial_position, "between": between, "unilateral": unilateral,
-        }  # fmt: skip
+        turn = None
         if delays is not None:
             from jaxstab.loop.jitter import turn_of
 
-            if is_any_traced(stiffness, damping, options):
+            if is_any_traced(stiffness, damping, force, initial_velocity, initial_position):
                 raise TypeError(
                     "a value is traced; with delays give numbers, outside of jit and grad."
                 )
-            options["delays"] = turn_of(self.in_floats(), delays)
-        return motion.simulate(self, stiffness, damping, **options)
+            turn = turn_of(self.in_floats(), delays)
+        return motion.simulate(
+            self, stiffness, damping, samples=samples, force=force,
+            initial_velocity=initial_velocity, initial_position=initial_position,
+            between=between, unilateral=unilateral, delays=turn,
+        )  # fmt: skip
 
     def contact(
         self,
@@ -877,11 +872,10 @@ class HapticLoop(LoopParameters, TwoGains):
         plain = self.in_floats()
         return None if in_steps(plain.held_device) else partial(delay_reading, plain)
 
-    def _on_grid(self, question: str, pair: Mapping[str, Any], **options: Any) -> Any:
+    def _on_grid(self, question: str, units: tuple[Array, Array], **options: Any) -> Any:
         if self.body is None:
-            return super()._on_grid(question, pair)
-        answer = getattr(point, question)
-        return answer(*scaled(self, *pair.values()), **self.slice, **options, **self.filters)
+            return super()._on_grid(question, units)
+        return getattr(point, question)(*units, **self.slice, **options, **self.filters)
 
     def _moving(self, delays: Range | None, lost: int) -> "MovingLoop":
         from jaxstab.loop.jitter import MovingLoop

@@ -19,7 +19,6 @@ judged, and the ends are halved down to where the judgement changes; ``error`` o
 behind it a wall is called unstable.
 """
 
-from collections.abc import Callable
 from functools import partial
 from math import inf, nan, pi
 from typing import Any, NamedTuple
@@ -184,14 +183,22 @@ class MeasuredLoop(NamedTuple):
         """The stable walls of a line, as ``exact.stable_line``."""
         origin, way = np.array(start), np.array(along)
         tried, codes = self._tried(origin, way)
-        judged = partial(self._judged, origin, way)
-        is_stable = np.concatenate([[False], codes == Verdict.STABLE, [False]])
-        begins = np.flatnonzero(is_stable[1:] & ~is_stable[:-1])
-        ends = np.flatnonzero(is_stable[:-1] & ~is_stable[1:]) - 1
-        found = [
-            Interval(self._end(judged, tried, codes, k, -1), self._end(judged, tried, codes, j, 1))
-            for k, j in zip(begins.tolist(), ends.tolist(), strict=True)
-        ]
+        last = partial(self._last, origin, way)
+
+        def end(k: int, step: int) -> End:
+            """The end of the stable walls on one side of a tried one."""
+            if not 0 <= k + step < len(tried):
+                return End(step * inf, 0.0, nan)
+            found = last(Verdict.STABLE, tried[k], tried[k + step])
+            value = float(without_noise(found, abs(tried[k] - tried[k + step])))
+            bad = np.flatnonzero(codes[k::step] == Verdict.UNSTABLE)
+            if not len(bad):
+                return End(value, inf, nan)
+            unstable = last(Verdict.UNSTABLE, tried[k + step * bad[0]], value)
+            return End(value, abs(unstable - value), nan)
+
+        edges = np.flatnonzero(np.diff(np.pad(codes == Verdict.STABLE, 1))).reshape(-1, 2)
+        found = [Interval(end(k, -1), end(j - 1, 1)) for k, j in edges.tolist()]
         return StableLine(tuple(found), (), 0, inf, LineStatus.MEASURED, 0)
 
     def _crossings(self, origin: Wall, way: Wall) -> Places:
@@ -219,23 +226,13 @@ class MeasuredLoop(NamedTuple):
         tried = np.concatenate([below, gaps.ravel(), places[-1:] + beyond])
         return tried, self.codes(origin + tried[:, None] * way)
 
-    def _judged(self, origin: Wall, way: Wall, code: Verdict, t: Any) -> bool:
-        return bool(self.codes((origin + t * way)[None])[0] == code)
-
-    def _end(
-        self, judged: Callable[[Verdict, float], bool], tried: Places, codes: Any, k: int, step: int
-    ) -> End:
-        """The end of the stable walls on one side of those that were tried."""
-        if not 0 <= k + step < len(tried):
-            return End(step * inf, 0.0, nan)
-        found = _halved(partial(judged, Verdict.STABLE), tried[k], tried[k + step])
-        value = float(without_noise(found, abs(tried[k] - tried[k + step])))
-        side = codes[k:] if step > 0 else codes[k::-1]
-        bad = np.flatnonzero(side == Verdict.UNSTABLE)
-        if not len(bad):
-            return End(value, inf, nan)
-        unstable = _halved(partial(judged, Verdict.UNSTABLE), tried[k + step * bad[0]], value)
-        return End(value, abs(unstable - value), nan)
+    def _last(self, origin: Wall, way: Wall, code: Verdict, inside: Any, outside: Any) -> float:
+        """The last t, from one inside towards one outside, whose wall still has a verdict."""
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (inside + outside)
+            is_so = self.codes((origin + middle * way)[None])[0] == code
+            inside, outside = (middle, outside) if is_so else (inside, middle)
+        return float(inside)
 
     def limits(self) -> WallLimits:
         """The stiffest and the most damped wall that is reached by turning both gains up."""
@@ -246,7 +243,7 @@ class MeasuredLoop(NamedTuple):
         found = []
         for axis in (0, 1):
             best = int(np.argmax(walls[:, axis]))
-            ends = ratios[max(best - 1, 0)], ratios[min(best + 1, len(ratios) - 1)]
+            ends = ratios[np.clip([best - 1, best + 1], 0, len(ratios) - 1)]
 
             def less(ratio: float, axis: int = axis) -> float:
                 return -float(self._reached(ratio)[axis])
@@ -265,28 +262,21 @@ class MeasuredLoop(NamedTuple):
         stable = np.flatnonzero(codes == Verdict.STABLE)
         if not len(stable) or np.any(codes[: stable[0]] == Verdict.UNSTABLE):
             return origin
-        k = int(stable[0])
-        while k + 1 < len(codes) and codes[k + 1] == Verdict.STABLE:
-            k += 1
-        if k + 1 == len(tried):
+        other = np.flatnonzero(codes[stable[0] :] != Verdict.STABLE) + stable[0]
+        if not len(other):
             return way * tried[-1]
-        is_stable = partial(self._judged, origin, way, Verdict.STABLE)
-        return way * _halved(is_stable, tried[k], tried[k + 1])
+        return way * self._last(origin, way, Verdict.STABLE, *tried[other[0] - 1 : other[0] + 1])
 
     def frequency_margins(self, stiffness: Numbers, damping: Numbers) -> MeasuredMargins:
         """The margins of walls, as ``HapticLoop.frequency_margins``."""
         grid = wall_grid(stiffness=stiffness, damping=damping)
         codes = self.codes(grid.reshape(-1, 2))
-        found = np.full((7, 2, codes.size), nan)
+        found = np.full((7, 3, codes.size), nan)  # values, errors and frequencies
         for k in np.flatnonzero(codes == Verdict.STABLE):
-            found[..., k] = self._margins(grid.reshape(-1, 2)[k])
-        values, places = np.moveaxis(found, 1, 0).reshape(2, 7, *grid.shape[:-1])
-        rows = [
-            AtFrequency(own, np.full_like(own, nan), at)
-            for own, at in zip(values, places, strict=True)
-        ]
+            found[:, ::2, k] = self._margins(grid.reshape(-1, 2)[k])
+        rows = found.reshape(7, 3, *grid.shape[:-1])
         verdicts = named(codes.reshape(grid.shape[:-1]), MeasuredVerdict)
-        return MeasuredMargins(verdicts, *rows)
+        return MeasuredMargins(verdicts, *(AtFrequency(*own) for own in rows))
 
     def _margins(self, wall: Wall) -> list[tuple[float, float]]:
         (opened,), hertz = self.opened(wall[None]), self.frequency
@@ -300,10 +290,10 @@ class MeasuredLoop(NamedTuple):
         least = _least(np.degrees(np.minimum(lags, 2.0 * pi - lags) - spread), places)
         delay = _least((lags - spread) / (2.0 * pi * places), places)
         tops = [(float(own[k]), float(hertz[k])) for own in peaks[:2] for k in [np.argmax(own)]]
-        ends = [
-            (end.value, self._where(end.value * wall) if np.isfinite(end.value) else nan)
-            for end in (low, high)
-        ]
+        ends = [(end.value, nan) for end in (low, high)]
+        for k, (factor, _) in enumerate(ends):
+            if np.isfinite(factor):
+                ends[k] = factor, float(hertz[np.argmin(abs(1.0 + factor * opened))])
         return [*ends, least, delay, *tops, _least(peaks[2], hertz)]
 
     def _at_one(self, opened: Values) -> tuple[Places, Places, Places]:
@@ -333,10 +323,6 @@ class MeasuredLoop(NamedTuple):
         lags = (point.imag + pi) % (2.0 * pi)
         return lags[meets], np.arccos(np.clip(cosine, -1.0, 1.0))[meets], places[meets]
 
-    def _where(self, wall: Wall) -> float:
-        """The frequency at which 1 + L is least."""
-        return float(self.frequency[np.argmin(abs(1.0 + self.opened(wall[None])[0]))])
-
 
 def measured(loop: LoopParameters) -> MeasuredLoop | None:
     """The loop of a measured device, in numbers; None for one that has a model."""
@@ -348,14 +334,6 @@ def measured(loop: LoopParameters) -> MeasuredLoop | None:
 def _least(values: Places, places: Places) -> tuple[float, float]:
     """The least of some values and its place; infinite if there is none."""
     return min(zip(values.tolist(), places.tolist(), strict=True), default=(inf, nan))
-
-
-def _halved(is_so: Callable[[float], bool], inside: Any, outside: Any) -> float:
-    """The last place, from one inside towards one outside, where something still is so."""
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (inside + outside)
-        inside, outside = (middle, outside) if is_so(middle) else (inside, middle)
-    return float(inside)
 
 
 def _passed(lags: Values, stages: list[Any]) -> Values:

@@ -35,22 +35,10 @@ def wall_axes(
     return np.array([stiffness]), np.linspace(low[1], high[1], 25**2)
 
 
-class Chatter(NamedTuple):
-    """The resolution of an encoder in m, and how far it may drive the position, in m."""
-
-    encoder: float
-    limit: float = np.inf
-
-    def amplitudes(self, loop: "HapticLoop", alpha: Any, beta: Any) -> np.ndarray:
-        """Proved amplitudes of walls in m."""
-        wall = loop.stiffness(alpha), loop.damping(beta)
-        return np.asarray(loop.amplitude(*wall, encoder=self.encoder).position)
-
-
 def fastest_calm_wall(
-    loop: "HapticLoop", objective: Values, chatter: Chatter, alpha: float | None
+    loop: "HapticLoop", objective: Values, chatter: Values, limit: float, alpha: float | None
 ) -> tuple[tuple[float, float], TuningStatus]:
-    """The gains of the least objective found within the limit, and a status."""
+    """The gains of the least objective found whose chatter is within a limit, and a status."""
     region = wall_region(loop.in_floats(), TOLERANCE).region.reachable
     if not len(region.points):
         return (np.nan, np.nan), TuningStatus.NO_STABLE_GAINS
@@ -61,10 +49,10 @@ def fastest_calm_wall(
         likely[inside] = np.nan_to_num(objective(alphas[inside], betas[inside]), nan=np.inf)
         for value in np.unique(likely[np.isfinite(likely)]):  # the fastest walls first
             walls = np.flatnonzero(likely == value)
-            reached = np.asarray(chatter.amplitudes(loop, alphas[walls], betas[walls]))
-            calm = reached <= chatter.limit
+            reached = chatter(alphas[walls], betas[walls])
+            calm = reached <= limit
             if np.any(calm):  # of equally fast walls the calmest one is the least
-                values[walls[calm]] = value + 1e-9 * reached[calm] / chatter.limit
+                values[walls[calm]] = value + 1e-9 * reached[calm] / limit
                 slower = likely > value  # calm or not, these are not the best
                 values[slower] = likely[slower]
                 break
@@ -112,10 +100,24 @@ def optimal_wall(
     stiffness: float | None,
     level: float,
     excitation: Excitation,
-    chatter: Chatter | None,
+    encoder: float | None,
+    chatter: float | None,
 ) -> OptimalWall:
     """Return the wall that comes to rest fastest: ``HapticLoop.tune``."""
     slower = 64  # than the fastest wall: how slow calm walls are looked for at first
+    limit, step = np.inf, 0.0
+    if encoder is not None:
+        step = checked_number("encoder", encoder, 0.0, is_open=True, unit="m")
+    elif chatter is not None:
+        raise TypeError(f"chatter is {chatter!r} without encoder; give its resolution in m.")
+    if chatter is not None:
+        limit = checked_number("chatter", chatter, 0.0, is_open=True, unit="m")
+
+    def moved(alphas: Any, betas: Any) -> np.ndarray:
+        """Proved amplitudes of walls in m, by the encoder."""
+        gains = loop.stiffness(alphas), loop.damping(betas)
+        return np.asarray(loop.amplitude(*gains, encoder=step).position)
+
     checked_word("goal", goal, ("radius", "settling"))
     level = checked_level(level, excitation)
     alpha = None if stiffness is None else loop.alpha(checked_number("stiffness", stiffness, 0.0))
@@ -126,9 +128,9 @@ def optimal_wall(
         settled = shortest_settling(tuned, best, alpha, level, excitation)
         wall = float(settled.alpha), float(settled.beta)
         status = TuningStatus(int(settled.status))
-    reached = np.nan if chatter is None else float(chatter.amplitudes(loop, *wall))
-    is_stable = status != TuningStatus.NO_STABLE_GAINS
-    if chatter is not None and is_stable and not reached <= chatter.limit:
+    is_asked = step > 0.0 and status != TuningStatus.NO_STABLE_GAINS
+    reached = float(moved(*wall)) if is_asked else np.nan
+    if is_asked and not reached <= limit:
         options: dict[str, Any] = {"level": level, "excitation": excitation}
         fastest = float(tuned.settling(*wall, **options).value)
 
@@ -141,10 +143,10 @@ def optimal_wall(
             return np.asarray(tuned.settling(alphas, betas, **options).value)
 
         for objective in (tuned.walls.radii,) if goal == "radius" else (likely, proved):
-            wall, status = fastest_calm_wall(loop, objective, chatter, alpha)
+            wall, status = fastest_calm_wall(loop, objective, moved, limit, alpha)
             if status != TuningStatus.NOT_CALM:
                 break
-        reached = float(chatter.amplitudes(loop, *wall)) if np.isfinite(wall[0]) else np.nan
+        reached = float(moved(*wall)) if np.isfinite(wall[0]) else np.nan
     if np.isnan(wall[0]):
         return OptimalWall(np.nan, np.nan, np.nan, np.inf, np.inf, status)
     gains = loop.stiffness(wall[0]), loop.damping(wall[1])
@@ -164,18 +166,6 @@ def _of_smallest_radius(plain: Any, alpha: float | None) -> tuple[TunedLoop, Bes
     """
     tuned = TunedLoop(plain, walls_of(plain)._replace(lowest=0.0))
     return tuned, smallest_radius(tuned.walls, alpha)
-
-
-def checked_chatter(encoder: float | None, limit: float | None) -> Chatter | None:
-    """The limit on how far an encoder may drive the position, if an encoder is given."""
-    if encoder is None:
-        if limit is not None:
-            raise TypeError(f"chatter is {limit!r} without encoder; give its resolution in m.")
-        return None
-    encoder = checked_number("encoder", encoder, 0.0, is_open=True, unit="m")
-    if limit is None:
-        return Chatter(encoder)
-    return Chatter(encoder, checked_number("chatter", limit, 0.0, is_open=True, unit="m"))
 
 
 # The wall that settles fastest, at worst, over several loops.
