@@ -32,7 +32,7 @@ from jaxstab.model.balls import (
     Plant,
     Triple,
     ball_loop,
-    filter_in_fractions,
+    in_fractions,
     plant_in_balls,
 )
 from jaxstab.model.device.device import Device
@@ -282,7 +282,8 @@ class AdmittanceParts(AffineParts):
     def rational(self) -> "Rationals":
         """The parts of p(z) in exact numbers, by M and D."""
         (robot, slow), (read, smooth) = (
-            filter_in_fractions(each, self.sample_time) for each in (self.robot, self.force_filter)
+            in_fractions(each.per_sample(self.sample_time).sections)
+            for each in (self.robot, self.force_filter)
         )
         z, period = flint.fmpq_poly([0, 1]), exact(self.sample_time)
         by_damping, position = {

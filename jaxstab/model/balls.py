@@ -22,7 +22,7 @@ what the structure says is kept beside the rest (``Factored``):
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import cached_property, lru_cache, reduce
+from functools import cached_property, lru_cache
 from math import inf, nextafter
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -397,33 +397,22 @@ def known_out(polynomial: "arb_poly", root: int, count: int) -> "arb_poly":
 
 def filter_in_balls(chain: Filter, period: float) -> tuple[Factored, Factored]:
     """Numerator and denominator of a filter in powers of z."""
-    one = Factored(flint.arb_poly([1]))
-    sections = chain.per_sample(period).sections
-    sides = zip(*map(_section, sections), strict=True) if sections else ((), ())
-    above, below = (reduce(Factored.times, side, one) for side in sides)
-    return above, below
-
-
-def _section(section: Section) -> tuple[Factored, Factored]:
-    n = section.length
-    if n is not None:
-        above = Factored(flint.arb_poly([flint.fmpq(1, n)]), windows=(n,) if n > 1 else ())
-        return above, Factored(flint.arb_poly([1]), power=n - 1)
-    above, below = map(Factored.from_rational, _section_in_fractions(section))
-    return above, below
-
-
-def filter_in_fractions(chain: Filter, period: float) -> "tuple[fmpq_poly, fmpq_poly]":
-    """Numerator and denominator of a filter in powers of z, in exact numbers."""
-    above, below = flint.fmpq_poly([1]), flint.fmpq_poly([1])
+    above = below = one = Factored(flint.arb_poly([1]))
     for section in chain.per_sample(period).sections:
-        sides = _section_in_fractions(section)
-        above, below = above * sides[0], below * sides[1]
+        n = section.length
+        if n is None:
+            numerator, denominator = map(Factored.from_rational, in_fractions((section,)))
+        else:
+            mean = flint.arb_poly([flint.fmpq(1, n)])
+            numerator = Factored(mean, windows=(n,) if n > 1 else ())
+            denominator = one._replace(power=n - 1)
+        above, below = above.times(numerator), below.times(denominator)
     return above, below
 
 
-def _section_in_fractions(section: Section) -> "tuple[fmpq_poly, fmpq_poly]":
-    sides = exact_chain((section,))
+def in_fractions(sections: tuple[Section, ...]) -> "tuple[fmpq_poly, fmpq_poly]":
+    """Numerator and denominator of a chain in units of one sample, in powers of z, exactly."""
+    sides = exact_chain(sections)
     order = max(side.degree() for side in sides)
     above, below = (flint.fmpq_poly([side[order - k] for k in range(order + 1)]) for side in sides)
     return above, below

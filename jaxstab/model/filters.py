@@ -14,7 +14,6 @@ TOML, and a maker beside the others in ``Filter``. Files, pictures, proofs over 
 explorers take all kinds from the class.
 """
 
-import numbers
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -37,7 +36,7 @@ from jaxstab.arrays import (
     pytree,
     tree_map,
 )
-from jaxstab.model.device.parts import coefficients, exact, flint
+from jaxstab.model.device.parts import checked_sides, exact, flint
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.numbers import checked_count, checked_number, require_kind, require_x64
 from jaxstab.shown import call_text
@@ -67,6 +66,9 @@ class Section:
 
     powers: ClassVar[dict[str, int]] = {}
     """The parameters with units, each with the power of the sampling period that takes them."""
+
+    keys: ClassVar[dict[str, str]] = {}
+    """The keys of TOML of the parameters that have another name there."""
 
     remedy: ClassVar[str] = ""
     """The remedy where a sampling ``period`` leaves no filter, of kinds where one may."""
@@ -110,7 +112,11 @@ class Section:
     @property
     def toml(self) -> dict[str, Any]:
         """The keys and values of TOML of a section in units of one sample."""
-        return dict(vars(self))
+        given = {self.keys.get(name, name): value for name, value in vars(self).items()}
+        rows = (
+            (key, [*value] if isinstance(value, tuple) else value) for key, value in given.items()
+        )
+        return {key: value for key, value in rows if value is not None}
 
     def factors(self, number: Any) -> list[Stage]:
         """The factors of the transfer function, by that number: a pair or a fraction."""
@@ -140,6 +146,7 @@ class Average(Section):
 
     maker: ClassVar[str] = "average"
     estimator: ClassVar[str] = "difference"
+    keys: ClassVar[dict[str, str]] = {"samples": "window_samples"}
 
     def __str__(self) -> str:
         samples = f"{self.samples} sample{'' if self.samples == 1 else 's'}"
@@ -152,10 +159,6 @@ class Average(Section):
     @property
     def length(self) -> int:
         return self.samples or _whole_samples(self.window, 1.0)
-
-    @property
-    def toml(self) -> dict[str, Any]:
-        return {"window_samples": self.length}
 
     def factors(self, number: Any) -> list[Stage]:
         count = self.length
@@ -181,7 +184,7 @@ class LowPass(Section):
     @property
     def number(self) -> Array:
         exponent = -2.0 * pi * self.cutoff  # of the pole
-        return _float(namespace(exponent).exp(exponent))
+        return namespace(exponent).exp(exponent)
 
     @property
     def longest_sample_time(self) -> float:
@@ -204,7 +207,7 @@ class Exponential(Section):
 
     @property
     def number(self) -> Array:
-        return _float(self.factor)
+        return self.factor
 
     def factors(self, number: Any) -> list[Stage]:
         return [_lag(number)]
@@ -225,7 +228,7 @@ class Butterworth(LowPass):
     @property
     def number(self) -> Array:
         angle = pi * self.cutoff  # of the cut-off, whose tangent is that of the analogue filter
-        return _float(namespace(angle).tan(angle))
+        return namespace(angle).tan(angle)
 
     @property
     def is_filter(self) -> bool:
@@ -264,10 +267,6 @@ class Rational(Section):
         sides = self.numerator, self.denominator
         return [_stage(*(list(map(Fraction, side)) for side in sides))]
 
-    @property
-    def toml(self) -> dict[str, Any]:
-        return {"numerator": list(self.numerator), "denominator": list(self.denominator)}
-
 
 @pytree
 @dataclass(frozen=True)
@@ -281,7 +280,7 @@ class Differentiator(Rational):
 
     @property
     def number(self) -> Array:
-        return _float(self.period)
+        return self.period
 
     def factors(self, number: Any) -> list[Stage]:
         steps = accumulate(map(Fraction, self.numerator[:-1]))
@@ -290,8 +289,8 @@ class Differentiator(Rational):
 
     @property
     def toml(self) -> dict[str, Any]:
-        numerator = [c * self.period for c in self.numerator]
-        return {"numerator": numerator, "denominator": list(self.denominator)}
+        numerator = tuple(c * self.period for c in self.numerator)
+        return Rational(numerator, self.denominator).toml
 
 
 @pytree
@@ -313,6 +312,7 @@ class Kalman(Section):
     estimator: ClassVar[str] = "kalman"
     text: ClassVar[str] = "a Kalman filter with q = {q} and r = {r}"
     powers: ClassVar[dict[str, int]] = {"q": 4}
+    keys: ClassVar[dict[str, str]] = {"q": "acceleration_variance", "r": "position_variance"}
     remedy: ClassVar[str] = f"{_NOT_IN_FLOATS}q/r closer to 1 / period^4."
 
     @property
@@ -320,15 +320,11 @@ class Kalman(Section):
         ratio = self.q / self.r
         xp = namespace(ratio)
         index = xp.sqrt(ratio)
-        return _float(2.0 / (1.0 + xp.sqrt(1.0 + 8.0 / index)))
+        return 2.0 / (1.0 + xp.sqrt(1.0 + 8.0 / index))
 
     def factors(self, number: Any) -> list[Stage]:
         s = number
         return [_stage([2 * s * s, 0, 0], [1, s * s + 2 * s - 2, (1 - s) * (1 - s)])]
-
-    @property
-    def toml(self) -> dict[str, Any]:
-        return {"acceleration_variance": float(self.q), "position_variance": float(self.r)}
 
 
 @pytree
@@ -346,30 +342,21 @@ class SavitzkyGolay(Section):
 
     estimator: ClassVar[str] = "savitzky_golay"
     text: ClassVar[str] = "the slope of a polynomial of order {order} through {samples} samples"
+    keys: ClassVar[dict[str, str]] = {"samples": "window_samples", "order": "polynomial"}
 
     @property
     def weights(self) -> tuple[float, ...]:
         """The weights of differences, that of the newest first."""
-        return _slope_weights(self.samples, self.order)
+        # A polynomial in t = 0, -1, ... whose coefficients solve the normal equations.
+        powers = range(self.order + 1)
+        rows = flint.fmpq_mat([[(-k) ** power for power in powers] for k in range(self.samples)])
+        slope = flint.fmpq_mat([[int(power == 1)] for power in powers])
+        solved = rows * (rows.transpose() * rows).solve(slope)
+        sums = accumulate(solved.entries()[:-1])
+        return tuple(int(weight.p) / int(weight.q) for weight in sums)
 
     def factors(self, number: Any) -> list[Stage]:
         return [_stage(list(map(Fraction, self.weights)), [1] + [0] * (self.samples - 2))]
-
-    @property
-    def toml(self) -> dict[str, Any]:
-        return {"window_samples": self.samples, "polynomial": self.order}
-
-
-@lru_cache
-def _slope_weights(samples: int, order: int) -> tuple[float, ...]:
-    """Return sums of the weights that give a slope, in exact numbers up to the last step."""
-    # A polynomial in t = 0, -1, ... whose coefficients solve the normal equations.
-    rows = [[(-k) ** power for power in range(order + 1)] for k in range(samples)]
-    powers = flint.fmpq_mat(samples, order + 1, [value for row in rows for value in row])
-    slope = flint.fmpq_mat(order + 1, 1, [int(power == 1) for power in range(order + 1)])
-    solved = powers * (powers.transpose() * powers).solve(slope)
-    weights = accumulate(solved[k, 0] for k in range(samples - 1))
-    return tuple(int(weight.p) / int(weight.q) for weight in weights)
 
 
 @pytree
@@ -429,24 +416,15 @@ def _stage(above: list[Any], below: list[Any]) -> Stage:
     leading = below[0]
     sides = [0] * (len(below) - len(above)) + above, below
     for side in sides:
-        while len(side) > 1 and _is_exactly(0, side[-1]):
+        while len(side) > 1 and side[-1] == 0:  # a pair is no number that is known to be 0
             side.pop()
-    if not _is_exactly(1, leading):
+    if leading != 1:
         sides = [c / leading for c in sides[0]], [c / leading for c in sides[1]]
     return tuple(sides[0]), (1, *sides[1][1:])
 
 
-def _is_exactly(number: int, coefficient: Any) -> bool:
-    return isinstance(coefficient, numbers.Rational) and coefficient == number
-
-
 def _floats(coefficients: tuple[Any, ...]) -> tuple[Array, ...]:
     return tuple(c.rounded() if isinstance(c, DoubleDouble) else float(c) for c in coefficients)
-
-
-def _float(value: Numbers) -> Array:
-    """Return a JAX value as it is, and any other number as a Python float."""
-    return value if is_jax(value) else float(value)
 
 
 def shown(value: Numbers) -> str:
@@ -546,7 +524,9 @@ class Filter:
 
         Raises: see ``jaxstab.conventions``.
         """
-        return cls((LowPass(_positive("cutoff", cutoff), _checked_order(order)),))
+        return cls(
+            (LowPass(_positive("cutoff", cutoff), checked_count("order", order, 1, HIGHEST_ORDER)),)
+        )
 
     @classmethod
     def butterworth(cls, cutoff: Numbers, *, order: int) -> "Filter":
@@ -559,7 +539,13 @@ class Filter:
 
         Source: Butterworth (1930); the transfer function is that of ``scipy.signal.butter``.
         """
-        return cls((Butterworth(_positive("cutoff", cutoff), _checked_order(order)),))
+        return cls(
+            (
+                Butterworth(
+                    _positive("cutoff", cutoff), checked_count("order", order, 1, HIGHEST_ORDER)
+                ),
+            )
+        )
 
     @classmethod
     def exponential(cls, factor: Numbers) -> "Filter":
@@ -867,24 +853,11 @@ def _positive(name: str, value: Numbers, low: float = 0.0, high: float = inf) ->
     return checked_number(name, value, low, high, is_open=low == 0.0)
 
 
-def _checked_order(order: int) -> int:
-    return checked_count("order", order, 1, HIGHEST_ORDER)
-
-
 def _checked_rational(
     numerator: Sequence[float], denominator: Sequence[float]
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    above, below = (
-        coefficients(name, values, "in z")
-        for name, values in (("numerator", numerator), ("denominator", denominator))
-    )
-    if len(above) > len(below):
-        raise ValueError(
-            f"numerator has degree {len(above) - 1} in z and denominator {len(below) - 1}; a "
-            "realisable filter is proper: give a denominator of at least the same degree."
-        )
-    if len(below) - 1 > HIGHEST_ORDER:
-        raise ValueError(f"denominator has degree {len(below) - 1}; give {HIGHEST_ORDER} at most.")
+    remedy = "a realisable filter is proper: give a denominator of at least the same degree"
+    above, below = checked_sides(numerator, denominator, "z", 0, remedy)
     if not has_roots_inside(list(map(Fraction, below))):
         raise ValueError(
             f"denominator is {list(below)}: not all of its roots in z are inside the unit circle; "

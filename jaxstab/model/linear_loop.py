@@ -11,15 +11,15 @@ docs/proofs.md), on grids and under transformations of JAX. The triple of a sing
 any device, is the middle of its balls (``balls.linear_loop``).
 """
 
+from fractions import Fraction
 from functools import lru_cache, reduce
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.arrays import Array, Numbers, float_arrays, is_any_jax, namespace
 from jaxstab.batches import MANY, compiled
-from jaxstab.model.device.parts import exact
 from jaxstab.model.double_double import DoubleDouble, size_sum
 from jaxstab.model.filters import (
     NO_FILTERS,
@@ -42,6 +42,9 @@ from jaxstab.model.parameters import (
 from jaxstab.model.plant import may_cancel, pairs_error, plant_pairs
 from jaxstab.numbers import real_numbers, require_together
 from jaxstab.rounding import FILTERS, PAIR_PRODUCT
+
+if TYPE_CHECKING:
+    from flint import fmpq
 
 Polynomial = tuple[DoubleDouble, ...]
 """Coefficients in powers of 1/z, lowest first; in powers of z they are those, highest first."""
@@ -174,11 +177,9 @@ def _exact_factors(velocity: tuple[Section, ...], position: tuple[Section, ...])
     return FilterFactors((base, stiffness, damping), (errors[0], errors[1], errors[2]))
 
 
-def _nearest(number: Any) -> DoubleDouble:
-    """The pair next to an exact number of python-flint."""
-    high = int(number.p) / int(number.q)
-    rest = number - exact(high)
-    return DoubleDouble(high, int(rest.p) / int(rest.q))
+def _nearest(number: "fmpq") -> DoubleDouble:
+    """The pair next to an exact number."""
+    return DoubleDouble.from_value(Fraction(int(number.p), int(number.q)))
 
 
 def _in_pairs(sections: tuple[Section, ...]) -> tuple[Polynomial, Polynomial, tuple[Array, Array]]:

@@ -13,7 +13,6 @@ pieces of the sample, with their second derivatives (lemma M9 of docs/proofs.md)
 
 from collections.abc import Callable, Mapping, Sequence
 from decimal import ROUND_CEILING
-from functools import lru_cache
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -211,7 +210,8 @@ def _bounds(
     bounds = np.zeros((3, 3))
     if found is None:
         return bounds + np.inf
-    period, between = float(loop.sample_time), _between(loop)
+    period = float(loop.sample_time)
+    between = between_samples(loop.held_device, period, loop.delay_samples % 1.0)
     errors = sum(causes[:2])
     inputs = np.eye(len(found.head))
     if causes[2]:
@@ -226,11 +226,6 @@ def _bounds(
         totals = _of_friction(sums[:, errors:], between)
         bounds[2] = _at_all_times(totals, between) + np.array([*between.path, 0.0])
     return bounds / [1.0, period, 1.0]
-
-
-@lru_cache(maxsize=64)
-def _between(loop: LoopParameters) -> Between:
-    return between_samples(loop.held_device, float(loop.sample_time), loop.delay_samples % 1.0)
 
 
 def _at_all_times(

@@ -318,16 +318,6 @@ def handle_equations(device: Device, sample_time: float) -> HandleEquations:
     return HandleEquations(rates, pull, at_rest, moves.thrown, ticks)
 
 
-def _by_forces(whole: "arb_mat", late: "arb_mat | None") -> "list[list[arb]]":
-    """Rows of states, the wall's force before and after its change, and the hand's."""
-    rows = whole.tolist()
-    arrived = [0 * row[-2] for row in rows] if late is None else [row[-2] for row in late.tolist()]
-    return [
-        [*states, wall - new, new, hand]
-        for (*states, wall, hand), new in zip(rows, arrived, strict=True)
-    ]
-
-
 def _are_known(matrix: "arb_mat") -> bool:
     """True if each entry is known to 64 bits, or next to 0 compared with the largest of them."""
     balls = matrix.entries()
@@ -423,8 +413,9 @@ class _Motion(NamedTuple):
         """The position and its derivatives up to the fifth, of states and two forces."""
         whole = _derivatives(self.matrix, self._unit(0), time)
         since = time - flint.arb(exact(self.fraction))
-        late = _derivatives(self.matrix, self._unit(0), since) if is_late else None
-        return flint.arb_mat([row[:-1] for row in _by_forces(whole, late)])
+        late = _derivatives(self.matrix, self._unit(0), since) if is_late else 0 * whole
+        pairs = zip(whole.tolist(), late.tolist(), strict=True)
+        return flint.arb_mat([[*row[:-2], row[-2] - new[-2], new[-2]] for row, new in pairs])
 
     def blows(self, time: "float | arb") -> "arb_mat":
         """The states a time after a unit impulse at the handle, and their derivatives."""

@@ -449,28 +449,34 @@ def _description(mass: float, damping: float, stiffness: float) -> str:
 
 
 # --------------------------------------------------------------------------------------- checks
+def checked_sides(
+    numerator: Coefficients, denominator: Coefficients, variable: str, excess: int, remedy: str
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Coefficients in s or z, the numerator's degree above the other by ``excess`` at most."""
+    above = _coefficients("numerator", numerator, variable)
+    below = _coefficients("denominator", denominator, variable)
+    if len(above) - len(below) > excess:
+        raise ValueError(
+            f"numerator has degree {len(above) - 1} in {variable} and denominator "
+            f"{len(below) - 1}; {remedy}."
+        )
+    if len(below) - 1 > HIGHEST_ORDER:
+        raise ValueError(
+            f"denominator has degree {len(below) - 1} in {variable}; give {HIGHEST_ORDER} at most."
+        )
+    return above, below
+
+
 def checked_transfer_function(
     numerator: Coefficients, denominator: Coefficients, excess: int, what: str
 ) -> TransferFunction:
     """A transfer function whose numerator's degree exceeds the other by ``excess`` at most."""
-    above, below = (
-        coefficients(name, values, "in s")
-        for name, values in (("numerator", numerator), ("denominator", denominator))
-    )
-    if len(above) - len(below) > excess:
-        raise ValueError(
-            f"numerator has degree {len(above) - 1} in s and denominator {len(below) - 1}; {what}: "
-            "give coefficients in s, highest power first, not in z."
-        )
-    if len(below) - 1 > HIGHEST_ORDER:
-        raise ValueError(
-            f"denominator has degree {len(below) - 1} in s; give {HIGHEST_ORDER} at most."
-        )
-    return TransferFunction(above, below)
+    remedy = f"{what}: give coefficients in s, highest power first, not in z"
+    return TransferFunction(*checked_sides(numerator, denominator, "s", excess, remedy))
 
 
-def coefficients(name: str, values: Coefficients, variable: str) -> tuple[float, ...]:
-    """The coefficients of a polynomial, "in s" or "in z", without leading ones of 0."""
+def _coefficients(name: str, values: Coefficients, variable: str) -> tuple[float, ...]:
+    """The coefficients of a polynomial, in s or z, without leading ones of 0."""
     try:
         row = list(np.atleast_1d(values))
     except ValueError:  # rows of unlike lengths
@@ -480,8 +486,8 @@ def coefficients(name: str, values: Coefficients, variable: str) -> tuple[float,
         numbers.pop(0)
     if not numbers:
         raise ValueError(
-            f"{name} is {values!r}; give coefficients {variable}, highest power first, not all of "
-            "them 0."
+            f"{name} is {values!r}; give coefficients in {variable}, highest power first, not "
+            "all of them 0."
         )
     return tuple(numbers)
 
