@@ -19,7 +19,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from functools import cache, partial
-from itertools import groupby
 from math import nan
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -188,19 +187,17 @@ def stable_values(
             stable, beyond = (middle, beyond) if code == Verdict.STABLE else (stable, middle)
         return StableEnd(stable, beyond if judged(beyond) == Verdict.UNSTABLE else nan)
 
-    values, intervals, first = scan.values, [], 0
+    values, intervals = scan.values, []
     tiny = 2.0**-80 * max(map(abs, values))  # so near 0 nothing is enclosed
     pairs = zip(values, known or [Verdict.UNDECIDED] * len(values), strict=True)
     codes = [judged(value) if code == Verdict.UNDECIDED else code for value, code in pairs]
     if len(refusals) == len(values):
         raise refusals[0]
-    for code, group in groupby(codes):
-        last = first + len(list(group)) - 1
-        if code == Verdict.STABLE:
-            low, high = end(first, -1), end(last, 1)
-            if judged(low.stable) == judged(high.stable) == Verdict.STABLE:
-                intervals.append((low, high))
-        first = last + 1
+    edges = np.flatnonzero(np.diff(np.pad(np.equal(codes, Verdict.STABLE), 1)))
+    for first, behind in edges.reshape(-1, 2).tolist():
+        low, high = end(first, -1), end(behind - 1, 1)
+        if judged(low.stable) == judged(high.stable) == Verdict.STABLE:
+            intervals.append((low, high))
     ends = values[0], values[-1]
     return StableValues(*named, tuple(intervals), ends, len(values), scan.is_complete)
 
