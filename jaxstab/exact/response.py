@@ -35,7 +35,7 @@ from jaxstab.exact.verdict import TripleAt, are_inside
 from jaxstab.model.balls import BallLoop, Factored, ball_loop
 from jaxstab.model.device.device import in_steps
 from jaxstab.model.device.discrete import held_steps
-from jaxstab.model.device.mechanics import after_impact, equations, sides_in_samples
+from jaxstab.model.device.mechanics import after_impact, equations
 from jaxstab.model.device.parts import Answer, decided, exact, remembered
 from jaxstab.model.device.sampling import seen
 from jaxstab.model.filters import behind_measured
@@ -400,7 +400,7 @@ def _moves(loop: LoopParameters) -> "tuple[arb_mat, list[arb], list[arb], list[a
         powers = (held**j for j in (count, count - round(fraction * count), 1))
         whole, late, one = (arb_mat(power).tolist() for power in powers)
     else:
-        matrix = equations(device, sides_in_samples(device, period), period)
+        matrix = equations(device, period).matrix
         whole = matrix.exp().tolist()
         late = (matrix * (1 - arb(exact(fraction)))).exp().tolist()
     size = len(whole) - (1 if own else 2)

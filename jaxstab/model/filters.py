@@ -302,8 +302,6 @@ class Kalman(Section):
     within a sample; positions have noise of variance r. With the tracking index T^2 sqrt(q/r) the
     gain follows from one number s between 0 and 1, that of position 1 - (1 - s)^2, that of velocity
     2 s^2/T.
-
-    Source: Kalata, The tracking index (IEEE Trans. AES, 1984).
     """
 
     q: Numbers
@@ -333,8 +331,6 @@ class SavitzkyGolay(Section):
     """The slope, at the newest of some samples, of the polynomial that fits them best.
 
     As a filter behind the difference: its weights are sums of those of the samples, rounded.
-
-    Source: Savitzky and Golay, Analytical Chemistry (1964).
     """
 
     samples: int = fixed()

@@ -35,15 +35,8 @@ from jaxstab.numbers import (
 )
 from jaxstab.shown import call_text
 
-_LEAST = {  # the least allowed value, and whether it is excluded
-    "device_mass": (0.0, True),
-    "device_damping": (0.0, False),
-    "sample_time": (0.0, True),
-    "hand_mass": (0.0, False),
-    "hand_damping": (0.0, False),
-    "hand_stiffness": (0.0, False),
-    "delay": (0.0, False),
-}
+_MECHANICS = "device_mass", "device_damping", "hand_mass", "hand_damping", "hand_stiffness"
+_NUMBERS = *_MECHANICS, "sample_time", "delay"
 
 Values = TypeVar("Values", bound=Numbers)
 
@@ -78,13 +71,14 @@ class LoopParameters:
 
     def __post_init__(self) -> None:
         self._refuse_mixed_fields()
-        for name, (least, is_open) in _LEAST.items():
+        for name in _NUMBERS:
             value, checker = getattr(self, name), checked_number
             if _is_array(value):
                 checker = checked
                 require_x64(value)
             if not (value is None or is_traced(value)):
-                number = checker(name, value, least, is_open=is_open)
+                is_open = name in ("device_mass", "sample_time")
+                number = checker(name, value, 0.0, is_open=is_open)
                 value = value if is_jax(value) else number
             object.__setattr__(self, name, in_doubles(value))
         is_one = not self.shape  # which refuses arrays that do not broadcast
@@ -130,22 +124,20 @@ class LoopParameters:
         return [name for name in super().__dir__() if name not in for_computing]
 
     def _refuse_mixed_fields(self) -> None:
-        of_device = "device_mass", "device_damping"
         if self.device is None:
-            missing = [name for name in of_device if getattr(self, name) is None]
+            missing = [name for name in _MECHANICS[:2] if getattr(self, name) is None]
             if missing:
                 raise TypeError(f"{missing[0]} is missing; give it, or device=jaxstab.Device....")
             return
         require_kind("device", self.device, Device)
-        given = [name for name in of_device if getattr(self, name) is not None]
-        for name in ("hand_mass", "hand_damping", "hand_stiffness"):
+        for name in _MECHANICS:
             value = getattr(self, name)
-            given += [name] if is_any_traced(value) or value else []
-        if given:
-            raise TypeError(
-                f"{given[0]} is given beside device; a device has its own mass and damping, and is "
-                "held by device.held_by(jaxstab.Hand...): give one or the other."
-            )
+            is_given = name in _MECHANICS[:2] and value is not None
+            if is_given or is_any_traced(value) or np.any(value):
+                raise TypeError(
+                    f"{name} is given beside device; a device has its own mass and damping, and is "
+                    "held by device.held_by(jaxstab.Hand...): give one or the other."
+                )
 
     def _refuse_tiny_units(self) -> None:
         """Refuse one mass whose gains lose digits in float64 when they are made dimensionless."""
@@ -288,7 +280,7 @@ class LoopParameters:
 
         Windows in s become whole numbers of samples, which are not traced.
         """
-        numbers = (getattr(self, name) for name in _LEAST)
+        numbers = (getattr(self, name) for name in _NUMBERS)
         filters = (_counted(chain, self.sample_time) for chain in (self.velocity, self.position))
         return (*numbers, *filters), (self._whole_delay, self.device)
 
@@ -298,7 +290,7 @@ class LoopParameters:
     ) -> "LoopParameters":
         """Return a loop made of such parts, unchecked: JAX may put anything in their place."""
         loop = object.__new__(cls)
-        names = (*_LEAST, "velocity", "position", "_whole_delay", "device")
+        names = (*_NUMBERS, "velocity", "position", "_whole_delay", "device")
         for name, value in zip(names, (*parts, *fixed), strict=True):
             object.__setattr__(loop, name, in_doubles(value))
         return loop
@@ -339,7 +331,7 @@ class LoopParameters:
 
 def array_fields(loop: LoopParameters) -> dict[str, Numbers]:
     """Return the fields of a loop that are arrays, by name."""
-    given = {name: getattr(loop, name) for name in _LEAST}
+    given = {name: getattr(loop, name) for name in _NUMBERS}
     return {name: value for name, value in given.items() if _is_array(value)}
 
 

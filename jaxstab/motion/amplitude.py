@@ -80,11 +80,9 @@ _COLUMNS = [
     Column(name.replace("_", " "), rounding=ROUND_CEILING) for name in Amplitude._fields[:4]
 ]
 
+_UNITS = {"position": ("um", 10**6), "velocity": ("mm/s", 1000)}  # the others are in N
 _SI_COLUMNS = [
-    column._replace(unit=unit, factor=factor)
-    for column, unit, factor in zip(
-        _COLUMNS, ("um", "mm/s", "N", "N"), (10**6, 1000, 1, 1), strict=True
-    )
+    Column(column.label, *_UNITS.get(column.label, ("N", 1)), ROUND_CEILING) for column in _COLUMNS
 ]
 
 

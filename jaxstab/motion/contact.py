@@ -399,7 +399,7 @@ def _motion(
     zero = 0.0 * x
     start = Summary(x, x, x, x, x, zero, zero, zero, zero, x, zero, zero, zero)
     forces: Any = (zero,) * (plant.oldest + 1)
-    if type(x) is not float:
+    if is_jax(x):
         forces = xp.stack(forces)
     body = plant.start(x, runs.velocity)
     return step, (0, body, controller.at_rest(read(x)), forces, start)

@@ -57,25 +57,14 @@ from jaxstab.model.device.parts import (
 )
 from jaxstab.numbers import checked_number, checked_word, require_kind
 
-# Systems of python-control and of scipy.signal as numbers; neither of them is imported.
 
-
-def matrices_of(system: Any) -> tuple[Any, Any, Any, Any] | None:
-    """A, B, C and D of a state space, None for a system of another kind."""
-    if not all(hasattr(system, name) for name in "ABCD"):
-        return None
-    a, b, c, d = (np.atleast_2d(getattr(system, name)) for name in "ABCD")
-    is_sampled = bool(getattr(system, "dt", None))
-    _refuse_many(b.shape[1], c.shape[0], (1, 2) if is_sampled else (2, 2))
-    if np.any(d) and not is_sampled:
-        raise ValueError(
-            f"D is {d.tolist()}; position over force is strictly proper in s: give D = 0."
-        )
-    return a, b, c, d
-
-
-def coefficients_of(system: Any) -> tuple[Any, Any]:
-    """Numerator and denominator of a transfer function, highest power first."""
+def _sides_of(system: Any) -> list[Any]:
+    """A, B, C and D of a system of python-control or scipy.signal, or its two polynomials."""
+    if all(hasattr(system, name) for name in "ABCD"):
+        sides = [np.atleast_2d(getattr(system, name)) for name in "ABCD"]
+        others = (1, 2) if getattr(system, "dt", None) else (2, 2)
+        _refuse_many(sides[1].shape[1], sides[2].shape[0], others)
+        return sides
     if all(hasattr(system, name) for name in ("zeros", "poles", "gain", "to_tf")):  # of scipy
         system = system.to_tf()
     if not (hasattr(system, "num") and hasattr(system, "den")):
@@ -83,11 +72,11 @@ def coefficients_of(system: Any) -> tuple[Any, Any]:
             f"system is {system!r}; give a TransferFunction or StateSpace of python-control or "
             "scipy.signal."
         )
-    numerator, denominator = system.num, system.den
-    if isinstance(numerator, list):  # python-control: a row of lists for each output
-        _refuse_many(len(numerator[0]), len(numerator))
-        numerator, denominator = numerator[0][0], denominator[0][0]
-    return np.atleast_1d(numerator), np.atleast_1d(denominator)
+    sides = [system.num, system.den]
+    if isinstance(system.num, list):  # python-control: a row of lists for each output
+        _refuse_many(len(system.num[0]), len(system.num))
+        sides = [side[0][0] for side in sides]
+    return [np.atleast_1d(side) for side in sides]
 
 
 def _refuse_many(inputs: int, outputs: int, other: tuple[int, int] = (1, 1)) -> None:
@@ -388,14 +377,19 @@ class Device:
         if hasattr(system, "omega") and hasattr(system, "frdata"):
             _refuse_many(*np.shape(system.frdata)[1::-1])
             return cls.from_response(system.omega / (2.0 * np.pi), system.frdata[0, 0])
-        matrices = matrices_of(system)
-        sides = matrices or coefficients_of(system)
-        step = getattr(system, "dt", None)
+        sides, step = _sides_of(system), getattr(system, "dt", None)
         if step is True:
             raise ValueError("the system is sampled, with dt = True; give its step in s.")
         if step:
             return cls.discrete(*sides, step=step)
-        return cls.state_space(*sides[:3]) if matrices else cls.transfer_function(*sides)
+        if len(sides) == 2:
+            return cls.transfer_function(*sides)
+        if np.any(sides[3]):
+            raise ValueError(
+                f"D is {sides[3].tolist()}; position over force is strictly proper in s: give "
+                "D = 0."
+            )
+        return cls.state_space(*sides[:3])
 
     def held_by(self, hand: Hand) -> "Device":
         """The device with a hand at its handle: G / (1 + G Z), G without the actuators.

@@ -37,6 +37,7 @@ from jaxstab.model.device.parts import (
     exact,
     flint,
     rational,
+    remembered,
     turn,
     working_precision,
 )
@@ -83,9 +84,7 @@ def mechanics(
         return _in_steps(own, round(sample_time / own.step), begins, offsets)
 
     def asked() -> tuple[list["arb"], list["arb"], int, list["arb_mat"]]:
-        sides = sides_in_samples(device, sample_time)
-        matrix = equations(device, sides, sample_time)
-        _, above, below = sides
+        matrix, above, below = equations(device, sample_time)
         give, order = below[0] / above[0], len(below) - 1
         resting = [below[power] - give * above[power] for power in range(order - 1, 0, -1)]
         hit, actuators = after_impact(device, sample_time), matrix.ncols() - 2 - order
@@ -132,6 +131,7 @@ def _seen(
     return np.stack([position, velocity, acting], axis=1)
 
 
+@remembered(16)
 def after_impact(device: Device, sample_time: float) -> list["arb"]:
     """The states when the device hits a wall with some velocity, without those of actuators.
 
@@ -216,30 +216,33 @@ def _of_fractions(exact_numbers: "fmpq_mat") -> Float64[np.ndarray, "row column"
     return np.array([[float(Fraction(int(x.p), int(x.q))) for x in row] for row in rows])
 
 
-Sides = tuple[list["arb"], list["arb"], list["arb"]]
+class Equations(NamedTuple):
+    """[[A, B], [0, 0]] for the states, the wall's force and the hand's, time in samples.
+
+    by_hand, below: numerator and denominator of the encoder by the hand's force (``in_samples``).
+    """
+
+    matrix: "arb_mat"
+    by_hand: list["arb"]
+    below: list["arb"]
 
 
-def sides_in_samples(device: Device, sample_time: float) -> Sides:
-    """Numerators of the encoder by motor and by hand, and their denominator, as ``in_samples``.
+@remembered(16)
+def equations(device: Device, sample_time: float) -> Equations:
+    """The equations of a device in balls of the precision that is set.
 
     Raises: as ``in_samples``; ValueError also if the hand's constant force does not move it.
     """
     ports = device.ports()
-    by_motor, by_hand = (
+    (by_motor, _), (by_hand, below) = (
         in_samples(Rational(above, ports.below), sample_time)
         for above in (ports.encoder, ports.encoder_by_hand)
     )
-    if not by_hand[0][0] != 0:
+    if not by_hand[0] != 0:
         raise ValueError(
             "the device has zero DC gain: its transfer function in s is 0 at s = 0; give one "
             "that moves under a constant force."
         )
-    return by_motor[0], *by_hand
-
-
-def equations(device: Device, sides: Sides, sample_time: float) -> "arb_mat":
-    """[[A, B], [0, 0]] for the states, the wall's force and the hand's."""
-    by_motor, by_hand, below = sides
     order, actuators = len(below) - 1, len(device.bandwidths)
     size = order + actuators
     wall, hand = size, size + 1
@@ -257,7 +260,7 @@ def equations(device: Device, sides: Sides, sample_time: float) -> "arb_mat":
         state = order + index
         matrix[state, state] = -rate
         matrix[state, state - 1 if index else wall] = rate
-    return matrix
+    return Equations(matrix, by_hand, below)
 
 
 class HandleEquations(NamedTuple):
@@ -294,13 +297,13 @@ def handle_equations(device: Device, sample_time: float) -> HandleEquations:
             "simulate, settling_time and amplitude."
         )
     with working_precision(1024):
-        of_samples = sides_in_samples(device, sample_time)[1:]
+        below = equations(device, sample_time).below
         turns = (2.0 * pi * width * sample_time for width in device.bandwidths)
-        fastest = max(2.0 ** speed_of(of_samples[1]), *turns, 1.0)
+        fastest = max(2.0 ** speed_of(below), *turns, 1.0)
         ticks = 2.0 ** ceil(log2(fastest))
         tick = sample_time / ticks
         moves = mechanics(device, tick, (0.0,), (0.0,))
-        matrix = equations(device, sides_in_samples(device, tick), tick)
+        matrix = equations(device, tick).matrix
         columns = matrix.ncols()
         if moves.thrown is None or matrix[0, columns - 1] != 0 or not matrix[1, columns - 1] > 0:
             raise ValueError(
@@ -377,10 +380,9 @@ def between_samples(device: Device, sample_time: float, fraction: float) -> Betw
     """The motion of a device within a sample, for a fraction of the delay."""
 
     def asked() -> tuple[bool, Between]:
-        sides = sides_in_samples(device, sample_time)
-        matrix = equations(device, sides, sample_time)
-        actuators = range(len(sides[0]), matrix.ncols() - 2)
-        rates = [2.0 ** speed_of(sides[2]), *(float(-matrix[k, k]) for k in actuators)]
+        matrix, _, below = equations(device, sample_time)
+        actuators = range(len(below) - 1, matrix.ncols() - 2)
+        rates = [2.0 ** speed_of(below), *(float(-matrix[k, k]) for k in actuators)]
         motion = _Motion(matrix, fraction)
         pieces = motion.pieces(max(rates))
         nodes = dict.fromkeys(node for piece in pieces for node in _ends(*piece))
