@@ -27,7 +27,7 @@ from math import ceil, inf, isfinite, log, nan
 from typing import Any, NamedTuple
 
 import numpy as np
-from flint import acb, arb, arb_mat, arb_poly
+from flint import acb, arb, arb_mat, arb_poly, arb_series, ctx
 from jaxtyping import Complex128, Float64
 
 from jaxstab.exact.roots import isolated_roots, real_or_not
@@ -313,21 +313,16 @@ class _Wall(NamedTuple):
 
         None where the balls are wide.
         """
-        falling = arb_poly(self.whole.coeffs()[::-1])
-        degree, inverse, known = self.whole.degree(), arb_poly([1 / falling[0]]), 1
-        while known < terms:
-            more = min(known, terms - known)  # by Newton's method
-            rest = (falling.truncate(known + more) * inverse).truncate(known + more)
-            rest = (rest.right_shift(known) * inverse).truncate(more)
-            inverse, known = inverse - rest.left_shift(known), known + more
-        quotients = []
+        ctx.cap = max(ctx.cap, terms)  # of all series
+        inverse = arb_series(self.whole.coeffs()[::-1], terms).inv()
+        quotients, length = [], self.whole.length()
         head = np.zeros((len(numerators), len(numerators[0][1]), terms))
         for place in np.ndindex(head.shape[:2]):
             factor, series = numerators[place[0]]
             rising = (factor * series[place[1]]).coeffs()
-            above = arb_poly(([arb(0)] * (degree + 1 - len(rising)) + rising[::-1])[:terms])
-            quotients.append((above * inverse).truncate(terms))
-            balls = quotients[-1].coeffs()
+            above = arb_series([arb(0)] * (length - len(rising)) + rising[::-1], terms)
+            balls = (above * inverse).coeffs()
+            quotients.append(arb_poly(balls))
             head[place][: len(balls)] = [float(ball) for ball in balls]
             widest = max((float(ball.rad()) for ball in balls), default=0.0)
             if widest > _NARROW * np.abs(head[place]).max():
@@ -434,15 +429,12 @@ def disturbed_responses(
     device's states at a sample. The series: these states, the force that acts up to the fraction of
     the delay, and the one from then on.
     """
-
-    def by_modes(wall: _Wall) -> Responses | None:
-        return wall.responses(wall.disturbed(causes))
-
-    def by_powers(wall: _Wall) -> Responses | None:
-        return wall.by_powers(wall.disturbed(causes), 1)
-
+    ways = (
+        lambda wall: wall.responses(wall.disturbed(causes)),
+        lambda wall: wall.by_powers(wall.disturbed(causes), 1),
+    )
     wall_at = partial(_wall_at, loop, stiffness, damping)
-    return _of_wall(wall_at, (stiffness, damping), (by_modes, by_powers), nothing=None)
+    return _of_wall(wall_at, (stiffness, damping), ways, nothing=None)
 
 
 def settled_after(

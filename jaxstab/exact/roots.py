@@ -12,6 +12,7 @@ r if and only if those of p(r z) lie inside the unit circle, which E1 decides on
 The radius is enclosed by halving, between 0 and Cauchy's bound 1 + max |a_k/a_n|.
 """
 
+from functools import partial
 from math import inf, nextafter
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -69,17 +70,10 @@ class Poles(NamedTuple):
 
 def spectral_radius(triple: TripleAt, stiffness: float, damping: float) -> Radius:
     """The largest modulus of the poles of the wall (K, B)."""
-
-    def largest() -> Number | None:
-        p = _polynomial(triple, stiffness, damping)
-        roots = p and isolated_roots(p)
-        return None if roots is None else _largest_modulus(roots)
-
-    def between() -> Number | None:
-        p = _polynomial(triple, stiffness, damping)
-        return p and _radius_between(p)
-
-    number = decided(largest, most=MOST_FOR_ROOTS) or decided(between)
+    p = partial(_polynomial, triple, stiffness, damping)
+    number = decided(lambda: _largest_modulus(p()), most=MOST_FOR_ROOTS) or decided(
+        lambda: _radius_between(p())
+    )
     if number is None:
         return Radius(np.nan, np.inf, RadiusStatus.NO_BOUND)
     return Radius(*number, RadiusStatus.PROVED)
@@ -94,12 +88,8 @@ def rough_radius(triple: TripleAt, stiffness: float, damping: float) -> float:
 
 def poles(triple: TripleAt, stiffness: float, damping: float) -> Poles:
     """All poles of the wall (K, B), those at z = 0 included."""
-
-    def told() -> "list[tuple[acb, bool]] | None":
-        p = _polynomial(triple, stiffness, damping)
-        return p and real_or_not(isolated_roots(p))
-
-    found = decided(told, most=MOST_FOR_ROOTS)
+    p = partial(_polynomial, triple, stiffness, damping)
+    found = decided(lambda: real_or_not(isolated_roots(p())), most=MOST_FOR_ROOTS)
     if found is None:
         return Poles(np.full(triple().degree, complex(np.nan, np.nan)), np.inf)
     values, error = [], 0.0
@@ -121,8 +111,10 @@ def _polynomial(triple: TripleAt, stiffness: float, damping: float) -> Factored 
     return p if p.degree == parts.degree else None
 
 
-def isolated_roots(p: Factored) -> "list[acb] | None":
+def isolated_roots(p: Factored | None) -> "list[acb] | None":
     """The roots in balls, those that the structure knows exactly; None where they overlap."""
+    if p is None:
+        return None
     p = p.without_windows()
     known = [flint.acb(0)] * p.power
     known += [flint.acb(1)] * p.at_one + [flint.acb(-1)] * p.at_minus_one
@@ -158,20 +150,22 @@ def real_or_not(roots: "list[acb] | None") -> "list[tuple[acb, bool]] | None":
     return answers
 
 
-def _largest_modulus(roots: "list[acb]") -> Number | None:
-    """The largest modulus; None where it is not known to a float64."""
-    if not roots:
-        return Number(0.0, 0.0)
-    radius = flint.arb(0)
+def _largest_modulus(p: Factored | None) -> Number | None:
+    """The largest modulus of a root; None where it is not known to a float64."""
+    roots, radius = isolated_roots(p), flint.arb(0)
+    if roots is None:
+        return None
     for root in roots:
         radius = radius.max(abs(root))
     return Number.of(radius) if radius.rel_accuracy_bits() > 60 or radius == 0 else None
 
 
-def _radius_between(p: Factored) -> Number | None:
+def _radius_between(p: Factored | None) -> Number | None:
     """The same by halving with E1; None where the balls do not tell on which side the roots are."""
     share = 0.4873  # of an interval, where it is divided: not next to a simple number
     halvings = 160
+    if p is None:
+        return None
     rest = p.without_windows().rest
     rising = rest.coeffs()
     known = flint.arb(1 if p.is_on_circle else 0)

@@ -46,18 +46,10 @@ def limits(
         coordinates, slopes, exist = _crossings(
             c, outline, values, axis, _met(outline, values, axis)
         )
-        far = np.where(exist, coordinates, -np.inf)
-        last = np.argmax(far, axis=-1)
-        if outermost:
-            near = np.where(exist, coordinates, np.inf)
-            first = np.argmin(near, axis=-1)
-        else:
-            near = np.where(np.arange(exist.shape[-1]) == last[:, None], -np.inf, far)
-            first = np.argmax(near, axis=-1)
-        rows, is_met = np.arange(len(values)), np.any(exist, axis=-1)
-        least = np.where(is_met, near[rows, first], np.nan)
-        most = np.where(is_met, far[rows, last], np.nan)
-        return least, most, slopes[rows, first], slopes[rows, last]
+        order, last = np.argsort(coordinates, axis=-1), np.sum(exist, axis=-1) - 1  # NaN is last
+        rows, first = np.arange(len(values)), 0 * last if outermost else last - 1
+        chosen = order[rows, first], order[rows, last]
+        return *(coordinates[rows, k] for k in chosen), *(slopes[rows, k] for k in chosen)
 
     columns, xp = _columns(ends, outline, 4, values), namespace(values)
     both, slopes = (xp.stack(pair, axis=-1) for pair in (columns[:2], columns[2:]))

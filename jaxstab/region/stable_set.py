@@ -392,9 +392,7 @@ class StableRegion(ShownRegion):
         unstable alpha between the two. Array (*grid, 2), differentiable. Args and Raises: see
         ``jaxstab.conventions``.
         """
-        require_x64(beta)
-        (rows,) = float_arrays(checked_gain("beta", beta))
-        return measures.limits(self.curve, self.outline, rows, axis=1)
+        return self._limits("beta", beta, axis=1)
 
     def beta_limits(self, alpha: Numbers) -> Float64[Array, "*grid 2"]:
         """Return the smallest and the largest beta of the region at given alphas.
@@ -402,9 +400,12 @@ class StableRegion(ShownRegion):
         NaN where no beta is in the region. Where ``columns_are_intervals`` is False there may be
         unstable beta between the two. Else as ``alpha_limits``.
         """
-        require_x64(alpha)
-        (columns,) = float_arrays(checked_gain("alpha", alpha))
-        return measures.limits(self.curve, self.outline, columns, axis=0)
+        return self._limits("alpha", alpha, axis=0)
+
+    def _limits(self, name: str, gain: Numbers, axis: int) -> Float64[Array, "*grid 2"]:
+        require_x64(gain)
+        (values,) = float_arrays(checked_gain(name, gain))
+        return measures.limits(self.curve, self.outline, values, axis=axis)
 
     def contains(self, alpha: Numbers, beta: Numbers) -> Bool[Array, "*grid"]:
         """True where points lie inside the exact boundary; all False for UNRESOLVED.
