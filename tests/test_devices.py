@@ -367,8 +367,9 @@ def test_threads_that_ask_devices_agree_and_restore_the_precision() -> None:
 
     frequencies = np.linspace(30.0, 60.0, 64).tolist()
     with flint.ctx.workprec(77), ThreadPoolExecutor(8) as pool:
+        before = flint.ctx.cap
         asked = list(pool.map(poles_and_plant, frequencies))
         pool.shutdown()
-        assert flint.ctx.prec == 77
+        assert (flint.ctx.prec, flint.ctx.cap) == (77, before)
     # The same device, which nothing remembers.
     assert asked == [poles_and_plant(frequency, order=-1) for frequency in frequencies]

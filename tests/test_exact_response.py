@@ -12,6 +12,7 @@ from mpmath import mp, mpf
 
 from jaxstab import HapticLoop, Velocity
 from jaxstab.exact.response import Modes, Responses, _Wall, disturbed_responses, settled_after
+from jaxstab.model.device.parts import working_precision
 from jaxstab.model.loop import unit_loop
 
 CASES = {
@@ -40,7 +41,7 @@ def test_sums_are_those_of_50_digits(case: str, by_powers: bool) -> None:
     numbers, velocity, _ = CASES[case]
     loop = unit_loop(*numbers[2:], velocity, None)
     if by_powers:
-        with flint.ctx.workprec(384):
+        with working_precision(384):
             wall = _Wall.from_loop(loop, *numbers[:2])
             found = wall.by_powers(wall.disturbed((True, True, False)), 1)
     else:

@@ -27,7 +27,7 @@ from math import ceil, inf, isfinite, log, nan
 from typing import Any, NamedTuple
 
 import numpy as np
-from flint import acb, arb, arb_mat, arb_poly, arb_series, ctx
+from flint import acb, arb, arb_mat, arb_poly, arb_series
 from jaxtyping import Complex128, Float64
 
 from jaxstab.exact.roots import isolated_roots, real_or_not
@@ -313,7 +313,6 @@ class _Wall(NamedTuple):
 
         None where the balls are wide.
         """
-        ctx.cap = max(ctx.cap, terms)  # of all series
         inverse = arb_series(self.whole.coeffs()[::-1], terms).inv()
         quotients, length = [], self.whole.length()
         head = np.zeros((len(numerators), len(numerators[0][1]), terms))
@@ -321,7 +320,10 @@ class _Wall(NamedTuple):
             factor, series = numerators[place[0]]
             rising = (factor * series[place[1]]).coeffs()
             above = arb_series([arb(0)] * (length - len(rising)) + rising[::-1], terms)
-            balls = (above * inverse).coeffs()
+            quotient = above * inverse
+            if quotient.prec < terms:  # a thread of a program has shortened all series
+                return None
+            balls = quotient.coeffs()
             quotients.append(arb_poly(balls))
             head[place][: len(balls)] = [float(ball) for ball in balls]
             widest = max((float(ball.rad()) for ball in balls), default=0.0)

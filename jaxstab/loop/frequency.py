@@ -10,7 +10,7 @@ from dataclasses import replace
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from functools import partial
 from math import degrees, inf, isfinite, isnan, log10, nan, pi, ulp
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, Int8
@@ -24,9 +24,6 @@ from jaxstab.model.loop import LoopParameters
 from jaxstab.model.parameters import LONGEST_DELAY, wall_grid
 from jaxstab.rounding import UNIT
 from jaxstab.shown import number_text, rounded_text, table_text
-
-if TYPE_CHECKING:
-    pass
 
 
 class AtFrequency(NamedTuple):

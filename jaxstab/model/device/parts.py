@@ -43,12 +43,20 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 @contextmanager
 def working_precision(bits: int) -> Iterator[None]:
-    """Compute with balls of this precision, one thread at a time, and restore it afterwards."""
+    """Compute with balls of this precision, one thread at a time, and restore it afterwards.
+
+    Power series have as many terms as they are made with.
+    """
     # The precision of python-flint is one number of the whole process. Balls hold the true value at
     # any precision: threads of a program that set it meanwhile can cost an answer its digits, or
     # end it in an error, but cannot make it wrong.
+    most_terms = 1 << 30
     with _PRECISION, flint.ctx.workprec(bits):
-        yield
+        before, flint.ctx.cap = flint.ctx.cap, most_terms
+        try:
+            yield
+        finally:
+            flint.ctx.cap = before
 
 
 def decided(
