@@ -93,7 +93,6 @@ def _is_stable(
 
 
 CELLS, CONSTANT_CELLS = (4, 1, 16), (4, 8, 16)
-
 """Cells along mass, delay and damping, powers of two: of delays that move, and of constant ones."""
 
 _LOWER = 0.05  # of a limit whose proof was given up, in the first round

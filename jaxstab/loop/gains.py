@@ -14,19 +14,16 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Complex128, Float64
 
-from jaxstab import motion, point
+from jaxstab import exact, motion, point
 from jaxstab.arrays import Array, Numbers, is_any_jax, is_any_traced, named, namespace
 from jaxstab.conventions import RadiusStatus, Verdict
-from jaxstab.exact import frequency_response, poles, spectral_radius, stable_line, wall_verdict
+from jaxstab.loop.frequency import FrequencyMargins, wall_frequency_margins
+from jaxstab.model.balls import Factored
 from jaxstab.model.parameters import wall_grid
 from jaxstab.numbers import checked_number, checked_word
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from jaxstab.exact import StableLine
-    from jaxstab.loop.frequency import FrequencyMargins
-    from jaxstab.model.balls import Factored
 
 Answer = TypeVar("Answer")
 
@@ -77,16 +74,16 @@ class TwoGains:
         """Coordinates of regions as gains."""
         return first, second
 
-    def _opened(self, first: float, second: float) -> "tuple[Factored, Factored]":
+    def _opened(self, first: float, second: float) -> tuple[Factored, Factored]:
         """D and N of the open loop N/D."""
         triple = self._triple()
         return triple.base, triple.stiffness.scaled(first).plus(triple.damping.scaled(second))
 
     def _verdict(self, first: float, second: float) -> Verdict:
-        return wall_verdict(self._triple, first, second).verdict
+        return exact.wall_verdict(self._triple, first, second).verdict
 
-    def _line(self, start: tuple[float, float], along: tuple[float, float]) -> "StableLine":
-        return stable_line(self._triple, start, along)
+    def _line(self, start: tuple[float, float], along: tuple[float, float]) -> exact.StableLine:
+        return exact.stable_line(self._triple, start, along)
 
     def spectral_radius(self, *wall: Numbers, **gains: Numbers) -> "point.SpectralRadius":
         """The largest modulus of the loop's poles per sample, with a proved error bound.
@@ -110,7 +107,7 @@ class TwoGains:
             radii: point.SpectralRadius
             radii = self._on_grid("spectral_radius", self._in_units(*pair.values()))
             return radii
-        found = np.transpose(_each(grid, lambda *own: spectral_radius(self._triple, *own)))
+        found = np.transpose(_each(grid, lambda *own: exact.spectral_radius(self._triple, *own)))
         value, error, status = np.reshape(found, (3, *grid.shape[:-1]))
         return point.SpectralRadius(value, error, named(status.astype(np.int8), RadiusStatus))
 
@@ -133,7 +130,7 @@ class TwoGains:
         pair = self._named(wall, gains)
         grid = self._few(pair)
         if grid is not None:
-            values = _each(grid, lambda *own: poles(self._triple, *own).values)
+            values = _each(grid, lambda *own: exact.poles(self._triple, *own).values)
             if not np.any(np.isnan(values)):
                 return np.reshape(values, (*grid.shape[:-1], -1))
         found: Array = self._on_grid("closed_loop_poles", self._in_units(*pair.values()))
@@ -153,7 +150,7 @@ class TwoGains:
         frequency = mode.frequency / (2.0 * np.pi * self.sample_time)
         return motion.Oscillation(mode.damping_ratio, frequency)
 
-    def intervals(self, **gain: float) -> "StableLine":
+    def intervals(self, **gain: float) -> exact.StableLine:
         """All stable values of one gain at a value of the other: complete and proved.
 
         Each end has a bound of its error and the angle of the root that crosses the circle there.
@@ -199,7 +196,7 @@ class TwoGains:
         with np.errstate(all="ignore"):
             return np.stack(self._of_chart(*outline.T), axis=-1)
 
-    def frequency_margins(self, *wall: Numbers, **gains: Numbers) -> "FrequencyMargins":
+    def frequency_margins(self, *wall: Numbers, **gains: Numbers) -> FrequencyMargins:
         """Gain, phase, delay and disk margin, and the peaks of |S| and |T|: proved.
 
         The loop is opened as by ``to_control``.
@@ -261,7 +258,7 @@ class TwoGains:
         from jaxstab.pictures.frequency import plot_open_loop
 
         pair = [checked_number(*gain) for gain in self._named(wall, gains).items()]
-        response = partial(frequency_response, partial(self._opened, *pair))
+        response = partial(exact.frequency_response, partial(self._opened, *pair))
         margins = self._frequency_margins(*pair)
         return plot_open_loop(kind, margins, response, float(self.sample_time), ax)
 
@@ -336,9 +333,7 @@ class TwoGains:
             return codes
         return namespace(codes, is_lost).where(is_lost, np.int8(Verdict.UNDECIDED), codes)
 
-    def _frequency_margins(self, first: Numbers, second: Numbers) -> "FrequencyMargins":
-        from jaxstab.loop.frequency import wall_frequency_margins
-
+    def _frequency_margins(self, first: Numbers, second: Numbers) -> FrequencyMargins:
         return wall_frequency_margins(self, first, second)
 
     def _verdicts(self, grid: Float64[np.ndarray, "*grid 2"]) -> Any:

@@ -11,24 +11,24 @@ from jaxtyping import Float64, Int8
 from jaxstab import motion, point
 from jaxstab.arrays import Array, Numbers, is_any_jax, is_any_traced, named, pytree
 from jaxstab.conventions import HORIZON, Excitation, Range, Verdict
+from jaxstab.exact import StableLine
+from jaxstab.loop.frequency import FrequencyMargins, delay_reading, wall_frequency_margins
 from jaxstab.loop.gains import Gain, TwoGains
+from jaxstab.loop.margins import Margins, in_si_units, loop_margins, margins
 from jaxstab.loop.measured import measured
-from jaxstab.loop.region import TOLERANCE, Gains, WallLimits, WallRegion, scaled, wall_region
-from jaxstab.model import LoopParameters, by_name
+from jaxstab.loop.region import TOLERANCE, Gains, WallLimits, WallRegion, wall_region
+from jaxstab.model import LoopParameters, by_name, checked_gain
 from jaxstab.model.balls import ball_triple
 from jaxstab.model.device.device import in_steps
-from jaxstab.model.loop import refuse_arrays
-from jaxstab.numbers import checked, checked_number, checked_word
+from jaxstab.model.loop import array_fields, refuse_arrays
+from jaxstab.numbers import checked, checked_number, checked_word, require_together
 
 if TYPE_CHECKING:
     from jaxstab.boxes import HandRange, RobustLimit
-    from jaxstab.exact import StableLine
     from jaxstab.loop.backwards import StableValues
     from jaxstab.loop.contact import Contact
-    from jaxstab.loop.frequency import FrequencyMargins
     from jaxstab.loop.hands import WorstHand
     from jaxstab.loop.jitter import MovingLimits, MovingLoop, WorstDelays
-    from jaxstab.loop.margins import Margins
     from jaxstab.loop.tune import OptimalWall
     from jaxstab.model.balls import Triple
     from jaxstab.model.linear_loop import LinearLoop
@@ -210,7 +210,7 @@ class HapticLoop(LoopParameters, TwoGains):
         """
         return self.region().reachable.damping_limits(stiffness)
 
-    def stiffness_intervals(self, damping: float) -> "StableLine":
+    def stiffness_intervals(self, damping: float) -> StableLine:
         """All stable stiffnesses in N/m at a damping in N s/m: each interval, complete and proved.
 
         Each end has a bound of its error and the angle of the root that crosses the circle there.
@@ -227,7 +227,7 @@ class HapticLoop(LoopParameters, TwoGains):
         """
         return self.intervals(damping=damping)
 
-    def damping_intervals(self, stiffness: float) -> "StableLine":
+    def damping_intervals(self, stiffness: float) -> StableLine:
         """All stable dampings in N s/m at a stiffness in N/m; as ``stiffness_intervals``.
 
         Without stiffness a device that nothing holds keeps a root at 1 (``drift``): the intervals
@@ -243,7 +243,7 @@ class HapticLoop(LoopParameters, TwoGains):
         """
         return self.intervals(stiffness=stiffness)
 
-    def _line(self, start: tuple[float, float], along: tuple[float, float]) -> "StableLine":
+    def _line(self, start: tuple[float, float], along: tuple[float, float]) -> StableLine:
         found = measured(self)
         return found.line(start, along) if found else super()._line(start, along)
 
@@ -495,10 +495,10 @@ class HapticLoop(LoopParameters, TwoGains):
             return self._moving(delays, lost).verdict(stiffness, damping)
         if found := measured(self):
             return found.verdict(stiffness, damping)
-        pair = {"stiffness": stiffness, "damping": damping}
-        return named(self._codes(pair, resolve=resolve), Verdict)
+        codes = self._codes({"stiffness": stiffness, "damping": damping}, resolve=resolve)
+        return named(codes, Verdict)
 
-    def margins(self, stiffness: Numbers, damping: Numbers) -> "Margins":
+    def margins(self, stiffness: Numbers, damping: Numbers) -> Margins:
         """The changes of stiffness, damping and delay, each alone, up to the loss of stability.
 
         Args and Raises: see ``jaxstab.conventions``; TypeError also if JAX traces gains and the
@@ -514,12 +514,10 @@ class HapticLoop(LoopParameters, TwoGains):
             >>> float(loop.margins(300.0, 2.0).stiffness_gain)
             5.719...
         """
-        from jaxstab.loop.margins import in_si_units, loop_margins, margins
-
         if self.body is None or not (self.shape or is_any_jax(self, stiffness, damping)):
             return loop_margins(self.in_floats(), stiffness, damping)
         plant = self.gamma, self.delta, self.delay_samples  # a delay that is traced may be any
-        found = margins(*scaled(self, stiffness, damping), **by_name(*plant), **self.filters)
+        found = margins(*self._in_units(stiffness, damping), **by_name(*plant), **self.filters)
         units = self.stiffness(1.0), self.damping(1.0), self.sample_time
         return in_si_units(found, *units)
 
@@ -632,10 +630,10 @@ class HapticLoop(LoopParameters, TwoGains):
         """
         self._refuse_tracers("settling_time")
         options: dict[str, Any] = {"level": level, "excitation": excitation, "horizon": horizon}
-        if self.device is not None and self.body is None:
+        if self.body is None:
             samples = motion.loop_settling_samples(self.in_floats(), stiffness, damping, **options)
         else:
-            alpha, beta = scaled(self, stiffness, damping)
+            alpha, beta = self._in_units(stiffness, damping)
             samples = motion.settling_samples(alpha, beta, **self.slice, **options, **self.filters)
         return motion.SettlingTime(samples.value * self.sample_time, samples.status)
 
@@ -682,12 +680,12 @@ class HapticLoop(LoopParameters, TwoGains):
         """
         self._refuse_tracers("amplitude")
         sizes = {"encoder": encoder, "force_step": force_step, "friction": friction, "noise": noise}
-        if self.device is not None and self.body is None:
+        if self.body is None:
             return motion.loop_amplitude(self.in_floats(), stiffness, damping, sizes)
         unit = self.mass / self.sample_time**2  # N that are 1 where 1 m is
         sizes = {name: checked(name, size, 0.0) for name, size in sizes.items()}
         sizes |= {name: sizes[name] / unit for name in ("force_step", "friction")}
-        alpha, beta = scaled(self, stiffness, damping)
+        alpha, beta = self._in_units(stiffness, damping)
         amplitude = motion.amplitude(alpha, beta, **self.slice, **sizes, **self.filters)
         return motion.WallAmplitude(
             amplitude.position, amplitude.velocity / self.sample_time, amplitude.force * unit,
@@ -841,17 +839,20 @@ class HapticLoop(LoopParameters, TwoGains):
             delays=delays, tolerance=tolerance,
         )  # fmt: skip
 
-    def _frequency_margins(self, first: Numbers, second: Numbers) -> "FrequencyMargins":
+    def _frequency_margins(self, first: Numbers, second: Numbers) -> FrequencyMargins:
         if found := measured(self):
             return found.frequency_margins(first, second)
-        plain: Any = self.in_floats()
-        return TwoGains._frequency_margins(plain, first, second)
+        return wall_frequency_margins(self.in_floats(), first, second)
 
     def _triple(self) -> "Triple":
         return ball_triple(self.in_floats())
 
     def _in_units(self, first: Numbers, second: Numbers) -> tuple[Array, Array]:
-        return scaled(self, first, second)
+        require_together(**array_fields(self), stiffness=first, damping=second)
+        if np.ndim(self.sample_time) and (self.velocity or self.position):
+            refuse_arrays(self)  # windows and cut-offs would be arrays per sample
+        alpha = self.alpha(checked_gain("stiffness", first))
+        return alpha, self.beta(checked_gain("damping", second))
 
     @property
     def _pairs(self) -> "LinearLoop":
@@ -867,8 +868,6 @@ class HapticLoop(LoopParameters, TwoGains):
 
     @property
     def _delay_margin(self) -> Any:
-        from jaxstab.loop.frequency import delay_reading
-
         plain = self.in_floats()
         return None if in_steps(plain.held_device) else partial(delay_reading, plain)
 

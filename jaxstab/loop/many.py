@@ -402,7 +402,7 @@ def _searched(stacks: list[Stack], kind: Any, *, outlines: bool) -> ManyRegions:
 
 
 def resolved(
-    stacks: list[Stack], *, outlines: bool = False
+    stacks: list[Stack], *, outlines: bool
 ) -> "Iterator[tuple[Indices, Units, tuple[Extremes, Any]]]":
     """Yield loops that the program of a batch resolved, and its answers in units of their gains."""
     are_walls = not any(isinstance(loop, list) for _, loop in stacks)

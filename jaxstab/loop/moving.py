@@ -164,10 +164,9 @@ def _in_one_program(triples: Triples, *, outlines: bool) -> Any:
     flags = jnp.where(is_open, jnp.array([RegionStatus.UNRESOLVED, 0.0, 0.0]), _RESOLVED)
     flags = jnp.broadcast_to(flags, (*walls.shape[:2], len(_RESOLVED)))
     rows = jnp.concatenate([jnp.where(is_open, jnp.nan, walls), flags], axis=-1)
-    if outline is None:
-        return rows, None
     return rows, jax.tree.map(
-        lambda x: jnp.where(is_open.reshape(-1, *[1] * (x.ndim - 1)), jnp.nan, x), tuple(outline)
+        lambda x: jnp.where(is_open.reshape(-1, *[1] * (x.ndim - 1)), jnp.nan, x),
+        outline and tuple(outline),
     )
 
 
@@ -409,9 +408,7 @@ def _slopes(filters: Filters | None) -> Callable[..., Array]:
             real, imaginary = circle_equations(plant, alpha, beta, crossing[1], responses)
             return jnp.stack([real, jnp.where(is_real, crossing[1] - start, imaginary)])
 
-        bracketed = jnp.stack([step, start])
-        by_crossing = jax.jacfwd(equations)(bracketed, point)
-        crossing = bracketed - solved(by_crossing, equations(bracketed, point)[:, None])[:, 0]
+        crossing = jnp.stack([step, start])
         by_crossing, by_point = jax.jacfwd(equations, (0, 1))(crossing, point)
         moved: Array = -solved(by_crossing, by_point)[0]
         return moved

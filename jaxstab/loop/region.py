@@ -9,9 +9,8 @@ from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Array, Numbers, are_numbers, float_arrays, is_jax, namespace
 from jaxstab.loop.gains import Gain
-from jaxstab.model import LoopParameters, checked_gain, require_x64
-from jaxstab.model.loop import array_fields, refuse_arrays
-from jaxstab.numbers import require_together, without_noise
+from jaxstab.model import checked_gain, require_x64
+from jaxstab.numbers import without_noise
 from jaxstab.region import RegionStatus, StableRegion, measures
 from jaxstab.region.region import loop_region, proved_extremes
 from jaxstab.region.stable_set import GainNames, ShownRegion, limits_text, printed_extremes
@@ -363,15 +362,6 @@ class WallRegion(GainRegion):
         limits = measures.limits(*boundary, values, axis=axis, outermost=False)
         limits = self.units[1 - axis] * limits
         return limits if is_jax(limits) else without_noise(limits, self.extent[1 - axis])
-
-
-def scaled(loop: LoopParameters, stiffness: Numbers, damping: Numbers) -> tuple[Array, Array]:
-    """Walls (K, B) of a loop, checked, as alpha and beta."""
-    require_together(**array_fields(loop), stiffness=stiffness, damping=damping)
-    if np.ndim(loop.sample_time) and (loop.velocity or loop.position):
-        refuse_arrays(loop)  # windows and cut-offs would be arrays per sample
-    alpha = loop.alpha(checked_gain("stiffness", stiffness))
-    return alpha, loop.beta(checked_gain("damping", damping))
 
 
 def _limits_of(stiffest: Gains, damped: Gains, status: RegionStatus) -> WallLimits:

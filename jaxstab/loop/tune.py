@@ -306,7 +306,6 @@ def _times(
         times[index, hopeful] = value
         hopeful = hopeful[np.isfinite(value)]
         if not len(hopeful):
-            times[index:] = np.inf
             break
     times[:, ~np.isfinite(times.max(axis=0))] = np.inf
     return times
