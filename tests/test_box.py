@@ -1,21 +1,16 @@
 """Boxes of a range, their budgets, and the search that proofs confirm, on closed-form curves."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
+import pytest
 
+from jaxstab import HandRange, HapticLoop
 from jaxstab.boxes.box import ParameterBoxes
-from jaxstab.boxes.search import (
-    Guess,
-    Paving,
-    RobustStatus,
-    paved,
-    search,
-    verdicts_of_range,
-    worst_of_range,
-)
+from jaxstab.boxes.polygons import RobustRegion
+from jaxstab.boxes.search import Guess, Paving, RobustStatus, paved, search
 from jaxstab.conventions import Verdict
+from jaxstab.loop.hands import LoopsWithHands, WorstHand
 
 RADIUS = 0.75
 
@@ -98,49 +93,61 @@ def test_halves_cover_the_box_along_one_axis() -> None:
     assert high.tolist() == [[1.0, 1.0], [2.0, 3.0]]
 
 
-def test_one_stable_loop_is_needed_and_one_unstable_loop_is_enough() -> None:
+def test_one_stable_loop_is_needed_and_one_unstable_loop_is_enough(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     stable, unstable, unknown = Verdict.STABLE, Verdict.UNSTABLE, Verdict.UNDECIDED
     sampled = np.array(
         [[stable, stable], [stable, unstable], [stable, unknown], [unknown, unknown]], np.int8
     )
     tried = []
 
-    def prove(likely: np.ndarray) -> np.ndarray:
-        tried.extend(likely.tolist())
-        return np.array([stable, unknown], np.int8)
+    def failures(walls: np.ndarray, *_: object, **__: object) -> np.ndarray:
+        tried.extend(walls[:, 0].tolist())
+        return np.zeros((0 if walls[0, 0] == 0.0 else 1, 2))
 
-    codes = verdicts_of_range(sampled, prove)
+    monkeypatch.setattr("jaxstab.boxes.polygons._verdicts", lambda *_: sampled)
+    monkeypatch.setattr("jaxstab.boxes.polygons.failures", failures)
+    outline, hands = np.zeros((0, 2)), np.zeros((2, 2))
+    region = RobustRegion((0.0, 1.0), (0.0, 1.0), 0.0, 0.1, RobustStatus.EMPTY, outline, hands)
+    codes = region.verdict([0.0, 1.0, 2.0, 3.0], 0.5)
     assert codes.tolist() == [stable, unstable, unknown, unknown]
-    assert tried == [0, 2]  # no proof for a wall that no sampled loop shows to be stable
+    assert tried == [0.0, 2.0]  # no proof for a wall that no sampled loop shows to be stable
 
 
-class Worst(NamedTuple):
-    verdict: Verdict
-    radius: float
-
-
-def test_the_worst_loop_is_refuted_only_by_one_that_is_proved_unstable() -> None:
+def test_the_worst_loop_is_refuted_only_by_one_that_is_proved_unstable(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     stable, unstable, unknown = Verdict.STABLE, Verdict.UNSTABLE, Verdict.UNDECIDED
     judged, asked = [], []
+    loop = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
 
-    def found(code: Verdict, failed: np.ndarray | None, other: Worst) -> Worst:
-        def judge(loops: np.ndarray) -> Worst:
-            judged.append(loops.tolist())
-            return other
+    def found(code: Verdict, failed: np.ndarray | None, other: WorstHand) -> tuple[Verdict, float]:
+        answers = iter([WorstHand(code, loop, 0.9), other])
 
-        def unproved() -> np.ndarray | None:
+        def worst_of(loops: list[float], *_: object) -> WorstHand:
+            judged.append(loops)
+            return next(answers)
+
+        def unproved(*_: object) -> np.ndarray | None:
             asked.append(code)
             return failed
 
-        return worst_of_range(Worst(code, 0.9), unproved, judge, 5)
+        monkeypatch.setattr("jaxstab.loop.hands._worst_of", worst_of)
+        monkeypatch.setattr(LoopsWithHands, "unproved", unproved)
+        monkeypatch.setattr(LoopsWithHands, "_held", lambda _, member: member.tolist()[0])
+        worst = LoopsWithHands(loop, HandRange(mass=(0.0, 1.0))).worst(1.0, 1.0)
+        return worst.verdict, worst.radius
 
-    many, refuting, worse = np.arange(10.0), Worst(unstable, 1.1), Worst(stable, 0.95)
-    assert found(stable, np.zeros(0), refuting) == (stable, 0.9)
+    many = np.tile(np.arange(130.0)[:, None], 5)
+    refuting, worse = WorstHand(unstable, loop, 1.1), WorstHand(stable, loop, 0.95)
+    assert found(stable, np.zeros((0, 5)), refuting) == (stable, 0.9)
     assert found(stable, None, refuting) == (unknown, 0.9)  # no proof is known
-    assert not judged
+    assert judged == [[0.0, 0.5, 1.0]] * 2
     assert found(stable, many, refuting) == (unstable, 1.1)
     assert found(stable, many, worse) == (unknown, 0.95)
-    assert judged == [[0.0, 2.0, 4.0, 6.0, 8.0]] * 2
+    tried = judged[-1]
+    assert (len(tried), tried[0], max(np.diff(tried))) == (64, 0.0, 3.0)  # spread over all
     assert found(unstable, many, worse) == (unstable, 0.9)
     assert found(unknown, many, worse) == (unknown, 0.9)
     assert asked == [stable] * 4
@@ -167,23 +174,18 @@ class Disc:
 
 
 def test_a_search_samples_where_a_proof_fails_before_it_pulls_further() -> None:
+    def tried(disc: Disc, *pulls: float) -> tuple[list[list[float]], bool]:
+        guess, is_proved = search(disc.guess, disc.unproved, disc.add, pulls)
+        assert guess is not None
+        return guess.walls.tolist(), is_proved
+
     disc = Disc(proved_below=0.995)
-    found = search(disc.guess, disc.unproved, disc.add, [0.01, 0.02])
-    assert found.is_proved
-    assert found.pull == 0.01
-    assert found.guess is not None
-    assert found.guess.limit == 1.0
-    assert found.guess.walls.tolist() == [[0.99, 0.0]]
+    assert tried(disc, 0.01, 0.02) == ([[0.99, 0.0]], True)
     assert disc.tried == 2
-    disc = Disc(proved_below=0.97)
-    assert search(disc.guess, disc.unproved, disc.add, [0.01, 0.02, 0.04]).pull == 0.04
+    assert tried(Disc(proved_below=0.97), 0.01, 0.02, 0.04) == ([[0.96, 0.0]], True)
     disc = Disc(proved_below=0.5)
-    found = search(disc.guess, disc.unproved, disc.add, [0.01, 0.02, 0.04])
-    assert not found.is_proved
-    assert found.status == RobustStatus.UNPROVED
+    assert tried(disc, 0.01, 0.02, 0.04) == ([[0.96, 0.0]], False)
     assert disc.tried == 4
-    assert search(disc.guess, lambda _: None, disc.add, [0.01]).status == RobustStatus.UNPROVED
-    assert search(lambda _: Guess(np.zeros((0, 2))), disc.unproved, disc.add, [0.01]).status == (
-        RobustStatus.EMPTY
-    )
-    assert search(lambda _: None, disc.unproved, disc.add, [0.01]).status == RobustStatus.UNPROVED
+    nothing = Guess(np.zeros((0, 2)))
+    for known in (nothing, None):  # no walls are allowed, or it is not known which
+        assert search(lambda _, it=known: it, disc.unproved, disc.add, [0.01]) == (known, False)

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxstab.atlas.table import PLANT, Array, LimitTable
+from jaxstab.atlas.table import PLANT, Array, LimitTable, largest_of_cells
 from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.region import Branch, RegionStatus, stable_region
 from jaxstab.region.closed_form import curve_point, slice_coefficients
@@ -81,30 +81,23 @@ class Arcs:
     def _height(self, theta: Array) -> Array:
         return np.asarray(curve_point(self._curve, theta)[0]) + self.gamma[:, None]
 
+    @np.errstate(invalid="ignore", divide="ignore")
     def rows(self, beta: Array) -> Array:
         """The limits of alpha (plant, row, 2) at betas (plant, row), moved to the ends at most."""
-        secant_steps = 5
+        secant_steps = 6
         goals = np.clip(beta, self._beta[:, :1], self._beta[:, -1:])
         theta = np.stack(
             [np.interp(*pair) for pair in zip(goals, self._beta, self._theta, strict=True)]
         )
-        slopes = np.diff(self._beta) / np.diff(self._theta)
-        cells = np.stack(
-            [np.searchsorted(own[1:-1], goal) for own, goal in zip(self._beta, goals, strict=True)]
-        )
-        slope = np.take_along_axis(slopes, cells, axis=1)
-        missing = np.asarray(curve_point(self._curve, theta)[1]) - goals
+        last, missing = np.zeros_like(theta), self._beta[:, :1] - goals
         for _ in range(secant_steps):
-            following = np.clip(theta - missing / slope, 0.0, self._theta[:, -1:])
-            alpha, at = curve_point(self._curve, following)
-            step, change = following - theta, np.asarray(at) - goals - missing
-            theta, missing = following, missing + change
-            with np.errstate(invalid="ignore", divide="ignore"):
-                secant = change / step
-            slope = np.where(np.isfinite(secant) & (secant > 0.0), secant, slope)
+            alpha, at = map(np.asarray, curve_point(self._curve, theta))
+            before, missing = missing, at - goals
+            step = missing * (theta - last) / (missing - before)
+            last, theta = theta, theta - np.where(np.isfinite(step), step, 0.0)
         floor = np.broadcast_to(-self.gamma[:, None], goals.shape)
         is_end = (goals == self._beta[:, :1]) | (goals == self._beta[:, -1:])
-        return np.stack([floor, np.where(is_end, floor, np.asarray(alpha))], axis=-1)
+        return np.stack([floor, np.where(is_end, floor, alpha)], axis=-1)
 
 
 class _Regions:
@@ -256,13 +249,8 @@ def _interpolated(values: Array, axes: int = 3) -> Array:
 
 def _largest_in_cells(values: Array, axes: int) -> Array:
     """The largest value of each cell of a stencil along the first axes; NaN counts as infinite."""
-    values = np.where(np.isnan(values), np.inf, values)
-    for axis in range(axes):
-        if values.shape[axis] > 1:
-            moved = np.moveaxis(values, axis, 0)
-            largest = np.maximum(np.maximum(moved[:-2:2], moved[1:-1:2]), moved[2::2])
-            values = np.moveaxis(largest, 0, axis)
-    return values
+    halves = largest_of_cells(np.where(np.isnan(values), np.inf, values), axes)
+    return largest_of_cells(halves, axes)[(slice(None, None, 2),) * axes]
 
 
 def _rounded_up(errors: Array) -> NDArray[np.float32]:

@@ -219,12 +219,12 @@ class LimitTable:
         return total
 
 
-def largest_of_cells(values: Array) -> Array:
-    """The largest of the values at the corners of each cell along the first three axes.
+def largest_of_cells(values: Array, axes: int = 3) -> Array:
+    """The largest of the values at the corners of each cell along the first axes.
 
     An axis of one node has one cell, at it.
     """
-    for axis in range(3):
+    for axis in range(axes):
         if values.shape[axis] > 1:
             moved = np.moveaxis(values, axis, 0)
             values = np.moveaxis(np.maximum(moved[:-1], moved[1:]), 0, axis)

@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 from math import sqrt
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int8, Int64
+from jaxtyping import Bool, Float64, Int8
 
 from jaxstab.arrays import Numbers
 from jaxstab.boxes.hands import HandRange, unproved_members
-from jaxstab.boxes.search import NOTHING, Guess, Points, RobustStatus, search, verdicts_of_range
+from jaxstab.boxes.search import NOTHING, Guess, Points, RobustStatus, search
 from jaxstab.conventions import Range, Verdict
 from jaxstab.model import by_name, checked_delay, checked_delta, checked_gamma
 from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, known_filters
@@ -85,15 +85,14 @@ class RobustRegion:
         """
         grid = wall_grid(alpha=alpha, beta=beta)
         walls = grid.reshape(-1, 2)
-
-        def prove(likely: Int64[np.ndarray, " likely"]) -> Int8[np.ndarray, " likely"]:
-            range_of_hands = self.gamma, self.delta, self.delay
-            failed = [failures(walls[[n]], *range_of_hands, filters=self.filters) for n in likely]
-            codes = [Verdict.UNDECIDED if len(hands) else Verdict.STABLE for hands in failed]
-            return np.array(codes, np.int8)
-
         sampled = _verdicts(walls, self.hands, self.delay, self.filters)
-        return verdicts_of_range(sampled, prove).reshape(grid.shape[:-1])
+        is_unstable = np.any(sampled == Verdict.UNSTABLE, axis=1)
+        codes = np.where(is_unstable, Verdict.UNSTABLE, Verdict.UNDECIDED).astype(np.int8)
+        for number in np.flatnonzero(np.any(sampled == Verdict.STABLE, axis=1) & ~is_unstable):
+            range_of_hands = self.gamma, self.delta, self.delay
+            if not len(failures(walls[[number]], *range_of_hands, filters=self.filters)):
+                codes[number] = Verdict.STABLE
+        return codes.reshape(grid.shape[:-1])
 
 
 def robust_region(
@@ -138,11 +137,12 @@ def robust_region(
     checked_delay(delay)
     checked_number("tolerance", tolerance, 1e-3, 0.5)
     sample = _Sample(gamma, delta, delay, filters)
-    result = search(sample.polygon, sample.unproved, sample.add, [tolerance])
-    outline = (result.guess or NOTHING).walls
-    return RobustRegion(
-        gamma, delta, delay, tolerance, result.status, outline, sample.hands, filters
-    )
+    guess, is_proved = search(sample.polygon, sample.unproved, sample.add, [tolerance])
+    status = RobustStatus.PROVED if is_proved else RobustStatus.UNPROVED
+    if guess is not None and not len(guess.walls):
+        status = RobustStatus.EMPTY
+    outline = (guess or NOTHING).walls
+    return RobustRegion(gamma, delta, delay, tolerance, status, outline, sample.hands, filters)
 
 
 class _Sample:

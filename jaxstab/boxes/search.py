@@ -8,9 +8,9 @@ axes (``box``); the plant (``plant``) and the three arguments below are the same
    docs/proofs.md).
 2. *One proof of stability is enough.* The roots move continuously with the loop, and a range is
    connected: if no loop of it has a root on the circle, all have the same number of roots outside
-   of it, and the verdict on a single one holds for all (``verdicts_of_range``, ``worst_of_range``;
-   B20). For a closed polygon it is enough that no wall on its edges has such a root: no curve of
-   walls with a root on the circle can lie inside without crossing the edges (B11).
+   of it, and the verdict on a single one holds for all (B20). For a closed polygon it is enough
+   that no wall on its edges has such a root: no curve of walls with a root on the circle can lie
+   inside without crossing the edges (B11).
 3. *Sampled loops bound the answer, the proof confirms it.* The stiffest wall, or the polygon of
    walls, that all sampled loops allow is too large, so it is pulled in a little and proved for the
    whole range. Where the proof fails, loops from there join the sample; where that adds none, it is
@@ -24,14 +24,14 @@ whether a proof is valid.
 
 from collections.abc import Callable, Sequence
 from math import inf, nan, pi
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int8, Int64
+from jaxtyping import Bool, Float64, Int64
 
 from jaxstab.boxes.box import ParameterBoxes, joined
 from jaxstab.boxes.plant import BEYOND
-from jaxstab.conventions import Status, Verdict
+from jaxstab.conventions import Status
 from jaxstab.shown import exact_text, number_text
 
 Points = Float64[np.ndarray, "point 2"]
@@ -109,53 +109,6 @@ def _halved(boxes: ParameterBoxes, share: Float64[np.ndarray, "axis box"]) -> Pa
     return joined([halves.select(~again), halves.select(again).halved(np.tile(second[too], 2))])
 
 
-# One proof of stability is enough: verdicts on walls, and the worst loop of a range.
-
-_Worst = TypeVar("_Worst", bound=Any)  # a named tuple with a verdict, a loop and a radius
-
-
-def verdicts_of_range(
-    sampled: Int8[np.ndarray, "wall loop"],
-    prove: Callable[[Int64[np.ndarray, " likely"]], Int8[np.ndarray, " likely"]],
-) -> Int8[np.ndarray, " wall"]:
-    """Codes of ``Verdict`` for walls and all loops of a range, from those in sampled loops.
-
-    ``prove`` returns the codes of walls, given by their numbers, that are stable in one loop:
-    STABLE where no loop of the range has a root on the circle.
-    """
-    codes = np.full(len(sampled), Verdict.UNDECIDED, np.int8)
-    unstable = np.any(sampled == Verdict.UNSTABLE, axis=1)
-    codes[unstable] = Verdict.UNSTABLE
-    likely = np.flatnonzero(np.any(sampled == Verdict.STABLE, axis=1) & ~unstable)
-    codes[likely] = prove(likely)
-    return codes
-
-
-def worst_of_range(
-    sampled: _Worst,
-    unproved: Callable[[], np.ndarray | None],
-    judge: Callable[[np.ndarray], _Worst],
-    most: int,
-) -> _Worst:
-    """The verdict on a wall for all loops of a range, and the worst loop.
-
-    ``sampled`` is the worst of the sampled loops. ``unproved`` returns the loops at which a root on
-    the circle could not be excluded, none where the wall is proved, and None where no proof is
-    known; ``judge`` returns the worst of such loops, at ``most`` of them, spread over all.
-    """
-    failed = unproved() if sampled.verdict == Verdict.STABLE else np.zeros(0)
-    if failed is not None and not len(failed):
-        return sampled
-    worst = sampled
-    if failed is not None:
-        count = min(len(failed), most)
-        other = judge(failed[np.arange(count) * len(failed) // count])
-        is_worse = other.verdict == Verdict.UNSTABLE or other.radius > worst.radius
-        worst = other if is_worse else worst
-    is_refuted = worst.verdict == Verdict.UNSTABLE
-    return worst if is_refuted else worst._replace(verdict=Verdict.UNDECIDED)
-
-
 # Sampled loops bound the answer, the proof confirms it: limits and regions.
 
 
@@ -221,60 +174,30 @@ class Guess(NamedTuple):
 NOTHING = Guess(np.zeros((0, 2)))
 
 
-class SearchResult(NamedTuple):
-    """The last guess of a search, by how much it was pulled in, and whether it is proved."""
-
-    guess: Guess | None
-    pull: float
-    is_proved: bool
-
-    @property
-    def status(self) -> RobustStatus:
-        """The status of a polygon."""
-        if self.is_proved:
-            return RobustStatus.PROVED
-        is_empty = self.guess is not None and not len(self.guess.walls)
-        return RobustStatus.EMPTY if is_empty else RobustStatus.UNPROVED
-
-
-Unproved = Callable[[Points], Sequence[Any] | np.ndarray | None]
-
-
 def search(
     guess: Callable[[float], Guess | None],
-    unproved: Unproved,
+    unproved: Callable[[Points], Sequence[Any] | np.ndarray],
     add: Callable[[Any], bool],
     pulls: Sequence[float],
-) -> SearchResult:
+) -> tuple[Guess | None, bool]:
     """Walls that sampled loops allow, and whether they are proved for the whole range.
 
     ``guess`` returns the walls that the sampled loops allow, pulled in by a share; None if unknown.
     ``unproved`` returns loops at which a wall, or a polygon with all that is inside, is not proved;
-    none is a proof, and None says that nothing can be proved. ``add`` adds such loops to the sample
-    and says whether one is new; where none is, or after so many that each only just refuted a wall,
-    the next one of the ``pulls`` is tried.
+    none is a proof. ``add`` adds such loops to the sample and says whether one is new; where none
+    is, or after so many that each only just refuted a wall, the next one of the ``pulls`` is tried.
     """
     attempts = 24  # proofs of a search
     index = 0
     for attempt in range(1, attempts + 1):
         current = guess(pulls[index])
         if current is None or not len(current.walls):
-            break
+            return current, False
         failed = unproved(current.walls)
-        if failed is not None and not len(failed):
-            return SearchResult(current, pulls[index], True)
-        if failed is None:
-            break
-        is_new = add(failed)
-        if not is_new or attempt % (attempts // len(pulls)) == 0:
-            if index + 1 == len(pulls):
-                break
+        if not len(failed):
+            return current, True
+        if not add(failed) or attempt % (attempts // len(pulls)) == 0:
             index += 1
-    return SearchResult(current, pulls[index], False)
-
-
-def limit_of(result: SearchResult, loop: Any) -> RobustLimit:
-    """The limit from the result of a search; ``loop`` is returned where no loop sets it."""
-    guess = result.guess or NOTHING
-    stiffness, damping = guess.walls[0].tolist() if len(guess.walls) else (nan, nan)
-    return RobustLimit(stiffness, damping, result.is_proved, guess.limit, guess.loop or loop)
+            if index == len(pulls):
+                break
+    return current, False

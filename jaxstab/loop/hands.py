@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial, reduce
 from itertools import product
-from math import isfinite
+from math import isfinite, nan
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -19,16 +19,7 @@ from jaxtyping import Float64
 from jaxstab.boxes.hands import HandRange, Members, checked_range, spread_hands, unproved_members
 from jaxstab.boxes.plant import Arms, with_parts
 from jaxstab.boxes.polygons import polygon_of_rows
-from jaxstab.boxes.search import (
-    NOTHING,
-    PULLS,
-    Guess,
-    Points,
-    RobustLimit,
-    limit_of,
-    search,
-    worst_of_range,
-)
+from jaxstab.boxes.search import NOTHING, PULLS, Guess, Points, RobustLimit, search
 from jaxstab.conventions import Range, Verdict
 from jaxstab.exact import rough_radius
 from jaxstab.loop.jitter import MovingLoop
@@ -144,8 +135,19 @@ class LoopsWithHands:
             radius = float(loops[worst].spectral_radius(*wall).value)
             return WorstHand(Verdict(int(codes[worst])), loops[worst], radius)
 
-        sampled = judge(self._spread(values))
-        return worst_of_range(sampled, lambda: self.unproved(wall), judge, most_tried)
+        worst = judge(self._spread(values))
+        if worst.verdict != Verdict.STABLE:
+            return worst
+        failed = self.unproved(wall)
+        if failed is not None:
+            if not len(failed):
+                return worst
+            count = min(len(failed), most_tried)
+            other = judge(failed[np.arange(count) * len(failed) // count])
+            if other.verdict == Verdict.UNSTABLE:
+                return other
+            worst = max(worst, other, key=lambda each: each.radius)
+        return worst._replace(verdict=Verdict.UNDECIDED)
 
     def robust_limit(self) -> RobustLimit:
         """The stiffest wall that all of them allow: ``HapticLoop.robust_limit``."""
@@ -164,16 +166,19 @@ class LoopsWithHands:
             tried.extend(new)
             return bool(new)
 
-        limit = limit_of(search(partial(_stiffest_wall, tried), unproved, add, PULLS), tried[0])
+        found, is_proved = search(partial(_stiffest_wall, tried), unproved, add, PULLS)
+        guess = found or NOTHING
+        stiffness, damping = guess.walls[0].tolist() if len(guess.walls) else (nan, nan)
+        limit = RobustLimit(stiffness, damping, is_proved, guess.limit, guess.loop or tried[0])
         if limit.is_proved or not self.moving:
             return limit
         # Constant delays may allow much more than is proved: shares of one hand's limit are next.
-        wall = loops[0].limits(**self.moving)
-        for share in (1.0, 0.95, 0.9, 0.8, 0.65, 0.5) if wall.stiffness > 0.0 else ():
-            stiffness = share * wall.stiffness
-            worst = self.worst(stiffness, wall.damping)
+        own = loops[0].limits(**self.moving)
+        for share in (1.0, 0.95, 0.9, 0.8, 0.65, 0.5) if own.stiffness > 0.0 else ():
+            stiffness = share * own.stiffness
+            worst = self.worst(stiffness, own.damping)
             if worst.verdict == Verdict.STABLE:
-                return RobustLimit(stiffness, wall.damping, True, limit.limit, limit.loop)
+                return RobustLimit(stiffness, own.damping, True, limit.limit, limit.loop)
         return limit
 
     def jitter_margin(self, stiffness: float, damping: float) -> float:
