@@ -192,7 +192,7 @@ class HeldDevice(NamedTuple):
         ``mass`` is the smallest and the largest one of the device, ``arm`` the largest stiffness
         and the smallest damping of the arm, of any mass; ``beyond`` an angle in rad per sample.
         """
-        light, off = self._leading(mass[0], beyond)
+        light, off, _ = self._response_bounds(mass[0], beyond, "handle", "handle")
         least = light - (1.0 / mass[0] - 1.0 / mass[1]) - off  # of w^2 |h_h/d|, without the arm
         if not least > 0.0:
             return inf
@@ -207,53 +207,44 @@ class HeldDevice(NamedTuple):
         most = 1.0 / clear  # of the handle that is held
         if self.shapes is not None or (self.own is not None and self.own.excess is not None):
             # G_em - G_eh G_hm Z/(1 + Z G_hh), and that quotient is (1 - held/free)/free.
-            seen = self._largest(mass[0], beyond, "encoder", "encoder", "motor")
-            moved = self._largest(mass[0], beyond, "handle", "handle", "motor")
-            pushed = self._largest(mass[0], beyond, "encoder_by_hand", "encoder", "handle")
+            ways = ("encoder", "motor"), ("handle", "motor"), ("encoder", "handle")
+            seen, moved, pushed = (self._response_bounds(mass[0], beyond, *w)[2] for w in ways)
             most = seen + moved * pushed / least * (1.0 + most / least)
         weaker = prod(hypot(1.0, beyond / lag) for lag in self.lags)
         return most / weaker
 
-    def _leading(self, mass: float, beyond: float) -> tuple[float, float]:
-        """The limit of -w^2 h_h/d of the device alone, and the largest distance from it."""
-        if self.own is not None:
-            (third, *above), below = self.own.handle_by_hand, self.own.below
-            if third or not (above and above[0] > 0.0):  # of one degree less, and of two
-                return 0.0, inf
-            over, under = (
-                sum(abs(c / side[0]) * beyond**-k for k, c in enumerate(side) if k)
-                for side in (above, below)
-            )
-            return above[0], above[0] * (over + under) / (1.0 - under) if under < 1.0 else inf
-        light = off = 0.0
-        for moved, damper, spring, shapes in self._bodies(mass, beyond):
-            if damper + spring >= 1.0:
-                return 0.0, inf
-            light += shapes.handle**2 / moved
-            off += shapes.handle**2 * (damper + spring) / (abs(moved) * (1.0 - damper - spring))
-        return light, off
+    def _response_bounds(
+        self, mass: float, beyond: float, to: str, by: str
+    ) -> tuple[float, float, float]:
+        """The limit of -w^2 times a response of the device alone, as of the handle by the motor.
 
-    def _largest(self, mass: float, beyond: float, name: str, to: str, by: str) -> float:
-        """A bound of w^2 |numerator/d| for w >= beyond, of the device alone."""
+        Then for w >= beyond the largest distance from it, and the largest modulus.
+        """
         if self.own is not None:
-            (third, *above), below = getattr(self.own, name), self.own.below
+            above = getattr(self.own, to + "_by_hand" * (by == "handle"))
             over, under = (
-                sum(abs(c) * beyond**-k for k, c in enumerate(side)) for side in (above, below)
+                sum(abs(c) * beyond**-k for k, c in enumerate(side, start=1))
+                for side in (above[2:], self.own.below[1:])
             )
-            return over / (2.0 - under) if not third and under < 2.0 else inf
-        return sum(
-            abs(getattr(shapes, to) * getattr(shapes, by) / moved) / (1.0 - damper - spring)
-            for moved, damper, spring, shapes in self._bodies(mass, beyond)
-        )
-
-    def _bodies(self, mass: float, beyond: float) -> list[tuple[float, float, float, Shapes]]:
-        """Return moving masses, bounds of damping and spring forces over inertia, and shapes."""
-        damper, spring = self.damping / (mass * beyond), self.stiffness / (mass * beyond**2)
+            if above[0] or under >= 1.0:  # of one degree less than the denominator
+                return 0.0, inf, inf
+            off = (over + abs(above[1]) * under) / (1.0 - under)
+            return above[1], off, abs(above[1]) + off
+        light = off = most = 0.0
+        rigid = mass, self.damping / mass, self.stiffness / mass, Shapes()
         shapes = self.shapes or (Shapes(),) * len(self.modes)
-        return [(mass, damper, spring, Shapes())] + [
-            (moved, 2.0 * damping_ratio * frequency / beyond, (frequency / beyond) ** 2, shape)
+        modes = (
+            (moved, 2.0 * damping_ratio * frequency, frequency**2, shape)
             for (frequency, damping_ratio, moved), shape in zip(self.modes, shapes, strict=True)
-        ]
+        )
+        for moved, damper, spring, shape in (rigid, *modes):
+            rest = damper / beyond + spring / beyond**2
+            if rest >= 1.0:
+                return 0.0, inf, inf
+            share = getattr(shape, to) * getattr(shape, by) / moved
+            light, off = light + share, off + abs(share) * rest / (1.0 - rest)
+            most += abs(share) / (1.0 - rest)
+        return light, off, most
 
 
 def with_parts(device: Device, mass: float | None, arm: Arms) -> Device:
