@@ -136,9 +136,27 @@ def _fewest_samples(
     axes, lowest = _stable_box(loop.walls, start.wall, alpha), loop.walls.lowest
 
     def at(value: Callable[[np.ndarray], np.ndarray]) -> Values:
-        return partial(
-            _of_tails, loop, excitation, 2 * samples + 8, (samples, level, slowest), value
-        )
+        """A value of the tails of walls (wall, sample): the largest deviations from then on.
+
+        Those of gains elsewhere are infinite, and of those that are too slow and within the level.
+        """
+
+        def values(alphas: np.ndarray, betas: np.ndarray) -> np.ndarray:
+            walls, parts = (loop.loop.stiffness(alphas), loop.loop.damping(betas)), []
+            for own, deviation in deviations(loop.loop, *walls, excitation, 2 * samples + 8):
+                alpha, beta = alphas[own], betas[own]
+                with np.errstate(all="ignore"):
+                    tails = np.maximum.accumulate(np.abs(deviation)[:, ::-1], axis=1)[:, ::-1]
+                    if excitation == "impact":
+                        tails = tails / tails[:, :1]
+                tails = np.nan_to_num(tails, nan=np.inf, posinf=np.inf)
+                tails[~loop.walls.holds(alpha, beta)] = np.inf
+                quiet = np.flatnonzero(tails[:, samples] <= level)
+                tails[quiet[~loop.walls.are_inside(alpha[quiet], beta[quiet], slowest)]] = np.inf
+                parts.append(value(tails))
+            return np.concatenate(parts)
+
+        return values
 
     def first_within(tails: np.ndarray) -> np.ndarray:
         return np.where(tails[:, -1] <= level, np.argmax(tails <= level, axis=1), np.inf)
@@ -193,33 +211,3 @@ def _stable_box(walls: Walls, wall: tuple[float, float], alpha: float | None) ->
     ends = [(max(reached(-1.0, k), walls.lowest), reached(1.0, k)) for k in range(2)]
     first, second = (np.linspace(*pair, count) for pair, count in zip(ends, points, strict=True))
     return (first if alpha is None else np.array([alpha])), second
-
-
-def _of_tails(
-    loop: TunedLoop,
-    excitation: Excitation,
-    length: int,
-    seen: tuple[int, float, float],
-    value: Callable[[np.ndarray], np.ndarray],
-    alphas: np.ndarray,
-    betas: np.ndarray,
-) -> np.ndarray:
-    """Return a value of the tails of walls (wall, sample): the largest deviations from then on.
-
-    Those of gains elsewhere are infinite, and of those that are slower than ``seen`` has it and
-    within the level at its sample.
-    """
-    sample, level, slowest = seen
-    walls, values = (loop.loop.stiffness(alphas), loop.loop.damping(betas)), []
-    for own, deviation in deviations(loop.loop, *walls, excitation, length):
-        alpha, beta = alphas[own], betas[own]
-        with np.errstate(all="ignore"):
-            tails = np.maximum.accumulate(np.abs(deviation)[:, ::-1], axis=1)[:, ::-1]
-            if excitation == "impact":
-                tails = tails / tails[:, :1]
-        tails = np.nan_to_num(tails, nan=np.inf, posinf=np.inf)
-        tails[~loop.walls.holds(alpha, beta)] = np.inf
-        quiet = np.flatnonzero(tails[:, sample] <= level)
-        tails[quiet[~loop.walls.are_inside(alpha[quiet], beta[quiet], slowest)]] = np.inf
-        values.append(value(tails))
-    return np.concatenate(values)
