@@ -43,11 +43,11 @@ PARAMETER = 1e-14
 # NumPy's sine, cosine and exponential are right to 4 units in the last place.
 ELEMENTARY = 4 * EPS
 
-# One operation on linear models, of the size |c| + sum |s_k| h_k + rest of its result (lemma B13).
-# A slope of a product is a sum of two products: 4 UNIT of A_k + B_k, A_k = |c s'_k| h_k and B_k =
-# |c' s_k| h_k. They may cancel, but A + B = |A - B| + 2 min(A, B), and the sum of min(A_k, B_k) is
-# at most ((sum A_k)(sum B_k))^(1/2) <= (|c c'| + sum |s_k| h_k sum |s'_k| h_k)/2, which the centre
-# and the rest hold; inverses: 12 UNIT. 64 count.
+# One operation on linear models, of the size |c| + sum |s_k| + rest of its result (lemma B13). A
+# slope of a product is a sum of two products: 4 UNIT of A_k + B_k, A_k = |c s'_k| and B_k =
+# |c' s_k|. They may cancel, but A + B = |A - B| + 2 min(A, B), and the sum of min(A_k, B_k) is at
+# most ((sum A_k)(sum B_k))^(1/2) <= (|c c'| + sum |s_k| sum |s'_k|)/2, which the centre and the
+# rest hold; inverses: 12 UNIT. 64 count.
 LINEAR_MODEL = 32 * EPS
 
 # The derivative of sin(x/2)/(x/2): -x/12 is right to x^3/480 below x = 1e-3; above, a difference of

@@ -30,9 +30,7 @@ ROUNDED = 1.0 + 1e-12  # the bounds are float64, too
 
 def model(centre: float, slope: float, rest: float, half: float) -> LinearModel:
     """A function of one variable over one box."""
-    return LinearModel(
-        np.array([centre]), np.array([[slope]]), np.array([rest]), np.array([[half]])
-    )
+    return LinearModel(np.array([centre]), np.array([[slope * half]]), np.array([rest]))
 
 
 def at(made: LinearModel, move: float) -> Fraction:
@@ -41,10 +39,10 @@ def at(made: LinearModel, move: float) -> Fraction:
 
 
 def ends(centre: float, slope: float, rest: float, half: float) -> list[tuple[float, Fraction]]:
-    """Moves to both ends of a box, and values there that a model allows."""
+    """Both ends of a box, and values there that a model allows."""
     exact = Fraction(centre), Fraction(slope), Fraction(rest)
     return [
-        (side * half, exact[0] + side * exact[1] * Fraction(half) + way * exact[2])
+        (side, exact[0] + side * exact[1] * Fraction(half) + way * exact[2])
         for side, way in product((-1, 1), (-1, 1))
     ]
 

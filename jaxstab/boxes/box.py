@@ -85,7 +85,7 @@ class ParameterBoxes:
         """A number, or one for each box, that was converted between units."""
         centre = np.broadcast_to(np.asarray(value), self.index.shape)
         slope = np.zeros((len(self.axes), centre.size))
-        return LinearModel(centre, slope, PARAMETER * np.abs(centre), np.ones((len(self.axes), 1)))
+        return LinearModel(centre, slope, PARAMETER * np.abs(centre))
 
     def quantity(self, name: str, value: float, unit: float = 1.0) -> LinearModel:
         """A quantity in units of the plant: along its axis, or the number that it always is."""

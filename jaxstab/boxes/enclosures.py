@@ -9,7 +9,7 @@ the rest. In batches, real or complex. NumPy only.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from math import pi
 from typing import Any, NamedTuple
@@ -29,23 +29,19 @@ _HINT = 0.1  # of slopes that only show which axis to halve (``phasor``)
 
 @dataclass(frozen=True)
 class LinearModel:
-    """A function over boxes of half-widths ``half``; where no bound is known, ``rest`` is infinite.
+    """A function over boxes; where no bound is known, ``rest`` is infinite.
 
     It holds every function f with
 
-        |f(x) - centre - sum_k slope_k dx_k| <= rest        for all |dx_k| <= half_k.
+        |f(x) - centre - sum_k slope_k x_k| <= rest         for all |x_k| <= 1,
 
-    Attributes:
-        centre: value in the middle of each box, shape (*box).
-        slope: derivatives there, (variable, *box).
-        rest: bound of what these leave, (*box).
-        half: half-widths of the boxes, (variable, *box).
+    x_k the place along axis k, from one end of the box to the other one. Shapes: (*box), slopes
+    (axis, *box).
     """
 
     centre: Floats
     slope: Floats
     rest: Floats
-    half: Floats
 
     @property
     def swing(self) -> Floats:
@@ -65,17 +61,16 @@ class LinearModel:
     def constant(self, value: Number) -> "LinearModel":
         """Return a number as a model over the same boxes."""
         centre = np.full(self.centre.shape, value)
-        zeros = np.zeros(centre.shape)
-        return LinearModel(centre, np.zeros(self.slope.shape), zeros, self.half)
+        return LinearModel(centre, np.zeros(self.slope.shape), np.zeros(centre.shape))
 
     def __add__(self, other: "LinearModel | Number") -> "LinearModel":
         if not isinstance(other, LinearModel):
-            return self._with(self.centre + other, self.slope, self.rest)
+            return _rounded(self.centre + other, self.slope, self.rest)
         rest = self.rest + other.rest
-        return self._with(self.centre + other.centre, self.slope + other.slope, rest)
+        return _rounded(self.centre + other.centre, self.slope + other.slope, rest)
 
     def __neg__(self) -> "LinearModel":
-        return self._model(-self.centre, -self.slope, self.rest)
+        return LinearModel(-self.centre, -self.slope, self.rest)
 
     def __sub__(self, other: "LinearModel | Number") -> "LinearModel":
         return self.__add__(-other)
@@ -85,13 +80,13 @@ class LinearModel:
 
     def __mul__(self, other: "LinearModel | Number") -> "LinearModel":
         if not isinstance(other, LinearModel):
-            return self._with(self.centre * other, self.slope * other, self.rest * abs(other))
+            return _rounded(self.centre * other, self.slope * other, self.rest * abs(other))
         slope = self.centre * other.slope + other.centre * self.slope
         with np.errstate(invalid="ignore"):  # what has no bound has none when it is taken 0 times
             rest = abs(self.centre) * other.rest + self.rest * other.size
             rest = rest + self._sloped * other.swing
         rest = np.where(rest >= 0.0, rest, np.inf)
-        return self._with(self.centre * other.centre, slope, rest)
+        return _rounded(self.centre * other.centre, slope, rest)
 
     __radd__ = __add__
     __rmul__ = __mul__
@@ -103,22 +98,20 @@ class LinearModel:
         clear, centre = np.where(is_known, clear, 1.0), np.where(is_known, self.centre, 1.0)
         square, size = centre**2, abs(centre) ** 2
         rest = self.swing**2 / (size * clear) + self.rest / size
-        bounded = self._with(1.0 / centre, -self.slope / square, rest)
-        return self._model(bounded.centre, bounded.slope, np.where(is_known, bounded.rest, np.inf))
+        bounded = _rounded(1.0 / centre, -self.slope / square, rest)
+        return replace(bounded, rest=np.where(is_known, bounded.rest, np.inf))
 
     @cached_property
     def _sloped(self) -> Floats:
-        return (abs(self.slope) * self.half).sum(axis=0)
+        return abs(self.slope).sum(axis=0)
 
-    def _with(self, centre: Floats, slope: Floats, rest: Floats) -> "LinearModel":
-        """Return a result of arithmetic on the same boxes, with its rounding."""
-        exact = self._model(centre, slope, rest)
-        rounded = self._model(centre, slope, rest + LINEAR_MODEL * exact.size)
-        vars(rounded)["_sloped"] = exact._sloped  # the slopes are the same
-        return rounded
 
-    def _model(self, centre: Floats, slope: Floats, rest: Floats) -> "LinearModel":
-        return LinearModel(centre, slope, rest, self.half)
+def _rounded(centre: Floats, slope: Floats, rest: Floats) -> LinearModel:
+    """Return a result of arithmetic on models, with its rounding."""
+    exact = LinearModel(centre, slope, rest)
+    made = LinearModel(centre, slope, rest + LINEAR_MODEL * exact.size)
+    vars(made)["_sloped"] = exact._sloped  # the slopes are the same
+    return made
 
 
 @dataclass(frozen=True)
@@ -166,7 +159,7 @@ def clearances(normal: Floats, models: Sequence[LinearModel]) -> tuple[list[Floa
     normal = normal / np.maximum(np.abs(normal), 1e-300)
     away = [np.real(normal.conj() * model.centre) for model in models]
     side = np.where(sum(away) < 0.0, -1.0, 1.0)
-    moves = [np.abs(np.real(normal.conj() * model.slope)) * model.half for model in models]
+    moves = [np.abs(np.real(normal.conj() * model.slope)) for model in models]
     distances = [
         side * far - by.sum(axis=0) - model.rest
         for model, far, by in zip(models, away, moves, strict=True)
@@ -175,28 +168,27 @@ def clearances(normal: Floats, models: Sequence[LinearModel]) -> tuple[list[Floa
 
 
 def variable(axis: int, axes: int, centre: Floats, half: Floats) -> LinearModel:
-    """Return a variable that runs along one of some axes, in units of its half-width."""
+    """Return a variable that runs along one of some axes, with its half-width."""
     slope = np.zeros((axes, centre.size))
     slope[axis] = half
-    return LinearModel(centre, slope, np.zeros(centre.size), np.ones((axes, 1)))
+    return LinearModel(centre, slope, np.zeros(centre.size))
 
 
 def conjugate(model: LinearModel) -> LinearModel:
     """Return the conjugate of a function."""
-    return LinearModel(model.centre.conj(), model.slope.conj(), model.rest, model.half)
+    return LinearModel(model.centre.conj(), model.slope.conj(), model.rest)
 
 
 def disc(model: LinearModel) -> LinearModel:
     """Return a function without moves along the axes."""
-    return LinearModel(model.centre, model.slope[:0], model.swing, model.half[:0])
+    return LinearModel(model.centre, model.slope[:0], model.swing)
 
 
 def on_axes_of(model: LinearModel, other: LinearModel) -> LinearModel:
     """Return a function with the axes of another."""
-    if len(model.half) == len(other.half):
+    if len(model.slope) == len(other.slope):
         return model
-    slope = np.zeros((len(other.half), model.centre.size))
-    return LinearModel(model.centre, slope, model.rest, other.half)
+    return replace(model, slope=np.zeros(other.slope.shape))
 
 
 def phasor(phase: LinearModel) -> LinearModel:
@@ -211,16 +203,15 @@ def phasor(phase: LinearModel) -> LinearModel:
     is_known = phase.swing < 1.0
     hint = _HINT * phase.slope / np.maximum(phase.swing, 1.0)
     slope = np.where(is_known, -1j * centre * phase.slope, hint)
-    return LinearModel(
-        np.where(is_known, centre, 0.0), slope, np.where(is_known, rest, 1.0 + _HINT), phase.half
-    )
+    rest = np.where(is_known, rest, 1.0 + _HINT)
+    return LinearModel(np.where(is_known, centre, 0.0), slope, rest)
 
 
 def sine(theta: LinearModel) -> LinearModel:
     """Return 2 sin(theta/2)."""
     half = 0.5 * theta.centre
     rest = 0.25 * theta.swing**2 + theta.rest + ELEMENTARY
-    return LinearModel(2.0 * np.sin(half), np.cos(half) * theta.slope, rest, theta.half)
+    return LinearModel(2.0 * np.sin(half), np.cos(half) * theta.slope, rest)
 
 
 def sinc(theta: LinearModel) -> Moving:
@@ -230,8 +221,8 @@ def sinc(theta: LinearModel) -> Moving:
     slope = np.where(is_small, -x / 12.0, (np.cos(0.5 * x) - value) / np.where(is_small, 1.0, x))
     rest = swing**2 / 24.0 + SINC_SLOPE * swing + ELEMENTARY
     return Moving(
-        LinearModel(value, slope * theta.slope, rest, theta.half),
-        LinearModel(slope, np.zeros_like(theta.slope), swing / 12.0 + SINC_SLOPE, theta.half),
+        LinearModel(value, slope * theta.slope, rest),
+        LinearModel(slope, np.zeros_like(theta.slope), swing / 12.0 + SINC_SLOPE),
     )
 
 
@@ -302,6 +293,6 @@ def _over(c: Coefficients, theta: LinearModel) -> Moving:
         swing, rest = theta.swing, theta.rest
         bent = np.minimum(np.abs(second) + rounding[k + 2] + swing * bounds[k + 3], bounds[k + 2])
         left = 0.5 * bent * swing**2 + np.abs(first) * rest + rounding[k] + swing * rounding[k + 1]
-        return LinearModel(own, first * theta.slope, left * RAISED_MANY, theta.half)
+        return LinearModel(own, first * theta.slope, left * RAISED_MANY)
 
     return Moving(model(0, value, slope, bend), model(1, slope, bend, third))

@@ -593,7 +593,7 @@ class DeviceBoxes:
             is_known = alias.swing < most
             centre = np.where(is_known, alias.centre, 0.0)
             slope = np.where(is_known, alias.slope, 0.0)
-            alias = LinearModel(centre, slope, np.where(is_known, alias.rest, most), alias.half)
+            alias = LinearModel(centre, slope, np.where(is_known, alias.rest, most))
             total = total + on_axes_of(alias, total)
         return _Others(total, moduli * RAISED_MUCH)
 
@@ -606,7 +606,7 @@ class DeviceBoxes:
 
 def _gain_at_rest(of: tuple[Quotient, Quotient] | None) -> LinearModel:
     """P(1), with the rounding of its coefficients."""
-    still = LinearModel(np.zeros(1), np.zeros((1, 1)), np.zeros(1), np.ones((1, 1)))
+    still = LinearModel(np.zeros(1), np.zeros((1, 1)), np.zeros(1))
     if of is None:
         return still.constant(1.0)
     value = of[0].over(still).value

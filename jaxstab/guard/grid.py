@@ -117,7 +117,7 @@ def _model(
     slope = np.zeros((len(axes), centre.size))
     for name, move in zip(CELL_AXES, moves, strict=False):
         slope[axes.index(name)] = move
-    return LinearModel(centre, slope, error, np.ones((len(axes), 1)))
+    return LinearModel(centre, slope, error)
 
 
 def _at_corners(nodes: np.ndarray, ends: tuple[Ends, Ends]) -> np.ndarray:
