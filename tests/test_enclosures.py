@@ -18,9 +18,9 @@ from jaxstab.boxes.enclosures import LinearModel, phasor, quotients, sinc, sine,
 from jaxstab.boxes.plant import (
     Arms,
     DeviceBoxes,
+    Extent,
     HeldDevice,
     _Aliases,
-    _Place,
 )
 from jaxstab.rounding import ELEMENTARY, LINEAR_MODEL
 
@@ -219,7 +219,8 @@ def test_the_sums_over_all_aliases_hold_the_true_ones() -> None:
     place = ParameterBoxes((), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(3, int))
     none, *constants = (place.constant(value) for value in (0.0, mass, delay))
     angle_of = place.constant(theta)
-    others = boxes._others(_Place(*constants, Arms(none, none, none), angle_of), aliases)
+    extent = Extent(*constants, Arms(none, none, none), none, none, angle_of)
+    others = boxes._others(extent, aliases)
     for k, angle in enumerate(theta.tolist()):
 
         def alias(turns: float, sign: int, power: int, angle: float = angle) -> mpmath.mpf:

@@ -193,7 +193,7 @@ def assert_boxes_hold(seed: int, boxes: int, *, moves: bool = False) -> tuple[fl
             arm, theta = Arms(*point[3:6].tolist()), float(point[6])
             own = with_hand(loop, mass, delay * PERIOD, arm)
             damping = point[2] / 4 * interpolated(grid.top, point[:2, None])[0]
-            alpha = proof._parts(own_box)[1]  # no less than the limit
+            alpha = proof._extent(own_box).stiffness  # no less than the limit
             stiffness = float(alpha.centre[0] + alpha.slope[:, 0] @ x) / PERIOD**2
             assert stiffness >= interpolated(grid.limit, point[:3, None])[0] * (1.0 - 1e-12)
             scaled = Arms(arm.mass, arm.stiffness * PERIOD**2, arm.damping * PERIOD)
@@ -305,7 +305,8 @@ def test_boxes_that_hold_a_root_on_the_circle_are_never_free() -> None:
                 Arms(arm.mass, arm.stiffness * PERIOD**2, arm.damping * PERIOD),
             )
             walls = one(wall[0] * PERIOD**2), one(wall[1] * PERIOD)
-            return Extent(one(mass), one(float(loop.delay_samples)), Arms(*map(one, own)), *walls)
+            delay, theta = one(float(loop.delay_samples)), boxes.along(THETA)
+            return Extent(one(mass), delay, Arms(*map(one, own)), *walls, theta)
 
         proof = DeviceBoxes(loop.device, loop, (mass, mass), (arm.stiffness, arm.damping), extent)
         angle, index = np.full((1, 12), abs(np.angle(pole))), np.zeros(12, int)
@@ -337,7 +338,7 @@ def test_a_stiffness_that_pushes_the_encoder_away_is_free_below_the_root_at_1(
         one = boxes.constant
         in_samples = Arms(*map(one, (arm.mass, arm.stiffness * PERIOD**2, arm.damping * PERIOD)))
         gains = one(share * limit * PERIOD**2), one(damping * PERIOD)
-        return Extent(one(mass), one(0.0), in_samples, *gains)
+        return Extent(one(mass), one(0.0), in_samples, *gains, boxes.along(THETA))
 
     def walls(boxes: ParameterBoxes) -> Any:
         raise NotImplementedError

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.boxes.box import HAND, ParameterBoxes
+from jaxstab.boxes.box import HAND, THETA, ParameterBoxes
 from jaxstab.boxes.plant import Arms, DeviceBoxes, Extent
 from jaxstab.boxes.search import paved
 from jaxstab.conventions import Range
@@ -103,15 +103,17 @@ def unproved_members(
     way_of = None if until is None else (until - walls) * units
 
     def extent(boxes: ParameterBoxes) -> Extent:
-        own = [boxes.constant(gains) for gains in (walls * units)[boxes.index].T]
+        stiffness, damping = map(boxes.constant, (walls * units)[boxes.index].T)
         if way_of is not None:
             share, ways = boxes.along("edge"), map(boxes.constant, way_of[boxes.index].T)
-            own = [gain + share * way for gain, way in zip(own, ways, strict=True)]
+            stiffness, damping = stiffness + share * next(ways), damping + share * next(ways)
         return Extent(
             boxes.quantity("mass", mass[0]),
             boxes.quantity("delay", delay[0]),
             arms_over(boxes, hands, period),
-            *own,
+            stiffness,
+            damping,
+            boxes.along(THETA),
         )
 
     ends: dict[str, Any] = dict(zip(HAND, vars(hands).values(), strict=True))

@@ -364,7 +364,7 @@ class Extent(NamedTuple):
     """Models over boxes, in units of the plant.
 
     Mass of the device in kg, delay in samples, the arm, the wall's largest stiffness and its
-    damping; T is the unit of time.
+    damping, and the angle; T is the unit of time.
     """
 
     mass: LinearModel
@@ -372,6 +372,12 @@ class Extent(NamedTuple):
     arm: Arms
     stiffness: LinearModel
     damping: LinearModel
+    theta: LinearModel
+
+    def as_discs(self) -> "Extent":
+        """The plant without moves along the axes."""
+        theta, arm = disc(self.theta), Arms(*map(disc, self.arm))
+        return self._replace(mass=disc(self.mass), delay=disc(self.delay), arm=arm, theta=theta)
 
 
 class FirstRow(NamedTuple):
@@ -385,20 +391,6 @@ class FirstRow(NamedTuple):
     walls: Callable[[ParameterBoxes], tuple[LinearModel, LinearModel]]
 
 
-class _Place(NamedTuple):
-    """The variables of the plant, over boxes."""
-
-    mass: LinearModel
-    delay: LinearModel
-    arm: Arms
-    theta: LinearModel
-
-    def as_discs(self) -> "_Place":
-        """Return the same without moves along the axes."""
-        arm = Arms(*map(disc, self.arm))
-        return _Place(disc(self.mass), disc(self.delay), arm, disc(self.theta))
-
-
 class DeviceBoxes:
     """Loops of a held device over boxes.
 
@@ -407,7 +399,7 @@ class DeviceBoxes:
         loop: its loop; the delay is not used.
         mass: the smallest and the largest mass of the device in kg.
         arm: the largest stiffness in N/m and the smallest damping in N s/m of the arm.
-        extent: the ``Extent`` of boxes, one axis of which is the angle ``theta``.
+        extent: the ``Extent`` of boxes.
         first_row: which of them begin with no wall; then boxes hold all stiffnesses from none up
             to that of the extent. Without it they hold that stiffness alone.
         jitter: by how many samples the delay may exceed that of the extent, in each sample anew.
@@ -470,13 +462,13 @@ class DeviceBoxes:
 
     def _over(self, boxes: ParameterBoxes, aliases: "_Aliases") -> tuple[LinearModel, LinearModel]:
         """Return F over boxes, at the least stiffness and at the largest one."""
-        place, alpha, beta = self._parts(boxes)
+        place = self._extent(boxes)
         above, below = self._device.parts(place.theta * 1j, place.mass, place.arm)
         others = self._others(place, aliases)
         force = sinc(place.theta).value * above + sine(place.theta) * below * others.total
         force = phasor(place.theta * (place.delay + 0.5)) * force
         position, velocity = self._filters(place.theta)
-        damper, spring = beta * velocity.value, alpha * position.value
+        damper, spring = place.damping * velocity.value, place.stiffness * position.value
         late = sine(place.theta).size * self._late(above, below, others)
         wall = damper + spring
         most = _widened(below + wall * force, _times(late, wall.size))
@@ -490,9 +482,9 @@ class DeviceBoxes:
         Walls from no stiffness on begin with a device that may be free; there F(0) is 0 by itself.
         With modes of unlike shapes a stiffness may push the encoder away, N(0) < 0.
         """
-        place, alpha, beta = self._parts(boxes)
+        place = self._extent(boxes)
         above, below = self._device.parts(_moving_s(place.theta), place.mass, place.arm)
-        damper, most = self._walls(place.theta, alpha, beta)
+        damper, most = self._walls(place.theta, place.stiffness, place.damping)
         least = most if self._first_row is None else damper
         force, others = self._force(place, above), self._others(place, self._slow)
         taken_away = below.value.size * others.total.size + self._late(above, below, others)
@@ -501,7 +493,7 @@ class DeviceBoxes:
         )
         above, below = self._device.parts(place.theta.constant(0.0), place.mass, place.arm)
         above = place.theta.constant(1.0) * above
-        holds = (below + alpha * self._gain_at_rest * above).low > 0.0
+        holds = (below + place.stiffness * self._gain_at_rest * above).low > 0.0
         if self._first_row is not None:  # D(0) >= 0, and any stiffness adds to it
             holds |= above.low > 0.0
         return free & holds, shares
@@ -514,7 +506,7 @@ class DeviceBoxes:
 
     def _grow(self, boxes: ParameterBoxes) -> tuple[Bool[np.ndarray, " box"], Rows]:
         """True for boxes of a first row in which all walls dissipate energy (lemma B20)."""
-        place, aliases = self._parts(boxes)[0], self._slow
+        place, aliases = self._extent(boxes), self._slow
         above, below = self._device.parts(place.theta * 1j, place.mass, place.arm)
         turned = conjugate(boxes.constant(1.0) * above * self._device.lag(place.theta * 1j))
         others = self._others(place, aliases)
@@ -528,7 +520,7 @@ class DeviceBoxes:
 
     def _grow_slowly(self, boxes: ParameterBoxes) -> tuple[Bool[np.ndarray, " box"], Rows]:
         """The same next to theta = 0, by the derivative."""
-        place = self._parts(boxes)[0]
+        place = self._extent(boxes)
         s = _moving_s(place.theta)
         above, below = self._device.parts(s, place.mass, place.arm)
         turned = Moving(boxes.constant(1.0), boxes.constant(0.0)) * above * self._device.lag(s)
@@ -548,7 +540,7 @@ class DeviceBoxes:
         late: np.ndarray = self._jitter * (_size(above) + _size(below) * others.moduli)
         return late * RAISED_MUCH
 
-    def _force(self, place: _Place, above: Any) -> Moving:
+    def _force(self, place: Extent, above: Any) -> Moving:
         """Return the held force behind the delay times N, without aliases."""
         lag = place.delay + 0.5
         wave = phasor(place.theta * lag)
@@ -561,11 +553,6 @@ class DeviceBoxes:
         position, velocity = self._filters(theta)
         damper = velocity * beta
         return damper, damper + position * alpha
-
-    def _parts(self, boxes: ParameterBoxes) -> tuple[_Place, LinearModel, LinearModel]:
-        """The variables of the plant, the largest stiffness and the damping."""
-        mass, delay, arm, stiffness, damping = self._extent(boxes)
-        return _Place(mass, delay, arm, boxes.along(THETA)), stiffness, damping
 
     def _wall_of_first_row(self, boxes: ParameterBoxes) -> tuple[LinearModel, LinearModel]:
         """Return the wall per unit of the multiple, in boxes that begin without a wall."""
@@ -580,7 +567,7 @@ class DeviceBoxes:
         one, back = theta.constant(1.0), phasor(theta)
         return Moving(one, theta.constant(0.0)), Moving(1.0 - back, back * 1j)
 
-    def _others(self, place: _Place, aliases: "_Aliases") -> "_Others":
+    def _others(self, place: Extent, aliases: "_Aliases") -> "_Others":
         """Return R and R'."""
         discs = place.as_discs()
         total = _widened(place.theta.constant(0.0 + 0.0j), aliases.tail)
@@ -597,7 +584,7 @@ class DeviceBoxes:
             total = total + on_axes_of(alias, total)
         return _Others(total, moduli * RAISED_MUCH)
 
-    def _alias(self, place: _Place, turns: int) -> LinearModel:
+    def _alias(self, place: Extent, turns: int) -> LinearModel:
         angle = place.theta + 2.0 * pi * turns
         above, below = self._device.parts(angle * 1j, place.mass, place.arm)
         wave = phasor(place.delay * (2.0 * pi * turns))

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from jaxstab.boxes import HandRange
-from jaxstab.boxes.box import ParameterBoxes, Rows
+from jaxstab.boxes.box import THETA, ParameterBoxes, Rows
 from jaxstab.boxes.enclosures import LinearModel
 from jaxstab.boxes.hands import arms_over, spread_hands
 from jaxstab.boxes.plant import Arms, DeviceBoxes, Extent, FirstRow, HeldDevice
@@ -73,7 +73,8 @@ def grid_boxes(device: Device, loop: LoopParameters, hands: HandRange, grid: Gri
         center, half = boxes.ends("damping")
         limit, top = limits(boxes, np.stack([center - half, center + half]))
         arm = arms_over(boxes, hands, period)
-        return Extent(mass, delay, arm, limit, boxes.along("damping", 1.0 / count) * top)
+        damping = boxes.along("damping", 1.0 / count) * top
+        return Extent(mass, delay, arm, limit, damping, boxes.along(THETA))
 
     def is_first(boxes: ParameterBoxes) -> Bool[np.ndarray, " box"]:
         column = tuple(np.floor(boxes.ends(name)[0]).astype(int) for name in CELL_AXES[:2])
