@@ -284,9 +284,15 @@ class LoopAtlas:
 
     def __init__(self, atlas: Atlas, loop: Any) -> None:
         from jaxstab.atlas.spec import AtlasSpec, words_of
+        from jaxstab.model.loop import LoopParameters
 
-        self.atlas = atlas
-        self.loop = _checked_loop(loop)
+        require_kind("loop", loop, LoopParameters, "HapticLoop")
+        self.atlas, self.loop = atlas, loop.in_floats()  # by its properties all is converted
+        if self.loop.body is None:
+            raise TypeError(
+                f"an atlas covers devices that are one mass with their hand, and this one is not "
+                f"({self.loop.device}); use the methods of the loop."
+            )
         own = AtlasSpec(**self.loop.filters).filters  # per sample, as an atlas writes them
         if own != atlas.filters:
             raise ValueError(
@@ -339,17 +345,3 @@ def _checked(values: Sequence[Numbers], names: Sequence[str] = AXES) -> list[Flo
     given = dict(zip(names, values, strict=True))
     require_together(**given)
     return [np.asarray(checked(*pair), np.float64) for pair in given.items()]
-
-
-def _checked_loop(loop: Any) -> Any:
-    """Return a loop of plain numbers, by whose properties all is converted."""
-    from jaxstab.model.loop import LoopParameters
-
-    require_kind("loop", loop, LoopParameters, "HapticLoop")
-    plain = loop.in_floats()
-    if plain.body is None:
-        raise TypeError(
-            f"an atlas covers devices that are one mass with their hand, and this one is not "
-            f"({loop.device}); use the methods of the loop."
-        )
-    return plain

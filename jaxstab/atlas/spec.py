@@ -208,7 +208,18 @@ class AtlasSpec:
             missing = [name for name in PLANT if getattr(self.fields, name) is None]
             given = {name: getattr(self, name) for name in missing}
             object.__setattr__(self, "fields", replace(self.fields, **given))
-            check_size([_count(getattr(self.fields, name)) for name in AXES])
+            largest_fields = 2**38  # nodes with fields
+            axes = [getattr(self.fields, name) for name in AXES]
+            counts = [axis if isinstance(axis, int) else len(axis) for axis in axes]
+            for words, own, most in (
+                ("axes", counts, largest_fields),
+                ("axes alpha and beta", counts[:2], LARGEST_SLICE),
+            ):
+                if math.prod(own) > most:
+                    raise ValueError(
+                        f"the {words} make {math.prod(own)} nodes; at most {most} are allowed, so "
+                        "give fewer."
+                    )
 
     @property
     def nodes(self) -> tuple[NDArray[np.float64], ...]:
@@ -266,23 +277,6 @@ _MADE: Mapping[str, Callable[[Any], Any]] = {
     "position": position_of,
     "fields": FieldSpec.from_table,
 }
-
-
-def check_size(counts: Sequence[int]) -> None:
-    """Raise ValueError for more nodes along the axes of fields than an atlas may have."""
-    largest_fields = 2**38  # nodes with fields
-    for axes, size, most in (
-        ("axes", math.prod(counts), largest_fields),
-        ("axes alpha and beta", math.prod(counts[:2]), LARGEST_SLICE),
-    ):
-        if size > most:
-            raise ValueError(
-                f"the {axes} make {size} nodes; at most {most} are allowed, so give fewer."
-            )
-
-
-def _count(axis: Any) -> int:
-    return axis if isinstance(axis, int) else len(axis)
 
 
 def _entries(holder: "AtlasSpec | FieldSpec") -> list[str]:

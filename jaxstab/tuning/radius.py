@@ -565,12 +565,10 @@ def _best_damping(walls: Walls, alpha: float) -> Best:
     """Return the damping with the smallest radius for a stiffness."""
     betas = np.concatenate([-_GAINS[::-1], [0.0], _GAINS])
     axes = np.array([alpha]), betas[betas >= walls.lowest]
-    best = _on_line(walls, axes, below=1.0)
-    if best.radius < 1.0:
-        return best._replace(status=walls.status or best.status)
-    best = _on_line(walls._replace(main=None), axes, below=1.0)
-    if best.radius < 1.0:
-        return best._replace(status=TuningStatus.ISLAND)
+    for own, status in ((walls, walls.status), (walls._replace(main=None), TuningStatus.ISLAND)):
+        best = _on_line(own, axes, below=1.0)
+        if best.radius < 1.0:
+            return best._replace(status=status or best.status)
     return _on_line(walls, axes, below=np.inf)._replace(status=TuningStatus.NO_STABLE_GAINS)
 
 
