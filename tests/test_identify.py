@@ -94,6 +94,31 @@ def test_intervals_contain_the_truth_in_90_of_100_logs(name: str) -> None:
     assert_covered(DEVICES[name], many(100, 4))
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_intervals_of_a_loop_that_diverges_contain_the_truth(seed: int) -> None:
+    """The software's spring is too stiff: most of what a log of meters tells is in its end."""
+    device = Pushed(mass=0.2, spring=1100.0)
+    log = simulated(device, 4000, seed)
+    assert np.ptp(log.position) > 100.0
+    found = identified(device, log)
+    assert found.residual == pytest.approx(device.encoder / math.sqrt(12.0), rel=0.02)
+    assert found.mass.low <= device.mass <= found.mass.high < device.mass + 1e-5
+    assert found.damping.low <= device.damping <= found.damping.high
+    assert found.delay.low <= device.delay <= found.delay.high
+
+
+@pytest.mark.parametrize(("rows", "delay"), [(5, -3.63e-3), (2, -0.63e-3), (1, 0.37e-3)])
+def test_columns_that_are_shifted_in_time_are_told(rows: int, delay: float) -> None:
+    """A force is logged some rows later than the position that was read with it."""
+    log = simulated(Pushed(), 4000, 3)
+    moved = replace(log, force=log.force[:-rows], position=log.position[rows:])
+    found = identified(Pushed(), moved)
+    assert found.delay.value == pytest.approx(delay, abs=5e-6)
+    assert found.mass.value == pytest.approx(0.25, rel=1e-3)
+    words = f"positions are {-1e3 * delay:.3g} ms ahead of the forces that cause them"
+    assert (words in found.warning) == (delay < 0.0) == bool(found.warning)
+
+
 def test_a_mass_without_friction_is_found_to_rounding() -> None:
     """In closed form, with positions of float64: constant accelerations from sample to sample."""
     push = np.repeat(np.random.default_rng(3).choice([-1.0, 1.0], 200), 10)
@@ -129,7 +154,8 @@ def test_a_spring_that_starts_at_0_leaves_no_more_than_none(
 
     def at_0(*given: Any) -> Any:
         values, speeds = begin(*given)
-        return np.where(np.arange(6) == 4, 0.0, values), speeds
+        values[5:] = 0.0
+        return values, speeds
 
     monkeypatch.setattr(jaxstab.scene.identify, "_start", at_0)
     columns = {"force": log.force, "position": log.position, "sample_time": Pushed().period}
@@ -249,6 +275,23 @@ def test_columns_have_names_and_a_device_may_turn(tmp_path: Path) -> None:
     scene = Scene.from_table(parsed(answer.stdout))
     assert scene.device.inertia is not None
     assert scene.device.inertia[0] == pytest.approx(0.25, rel=1e-2)
+
+
+def test_a_sample_time_beside_a_time_column_that_grows_otherwise_is_told(tmp_path: Path) -> None:
+    """Dates are no numbers: there is nothing to compare with."""
+    path, made = tmp_path / "log.csv", as_csv(simulated(Pushed(), 2000, 0))
+    path.write_text(made)
+    words = "column time grows by 0.001 a row, and --sample-time is 0.002 s, which was taken."
+    answer = run("identify", path, "--sample-time", "0.002", "-o", "-")
+    assert answer.exit_code == 0, answer.stderr
+    assert answer.stderr == f"jaxstab: warning: {words}\n"
+    assert "sample_time = 0.002" in answer.stdout
+    dated = re.sub("(?m)^([0-9.e-]+),", r"2026-11-29T12:00:\1,", made)
+    assert dated != made
+    for text in (made, made.replace("time", "t"), dated):
+        path.write_text(text)
+        answer = run("identify", path, "--sample-time", "0.001")
+        assert (answer.exit_code, answer.stderr) == (0, "")
 
 
 SLIPS = {

@@ -749,7 +749,7 @@ def identify(
         )
     names = {name: given[name] or name for name in used}
     optional = [] if is_servo or given["velocity"] else [names["velocity"]]
-    columns = fits.read_log(str(log), names, sample_time, optional)
+    columns, clash = fits.read_log(str(log), names, sample_time, optional)
     with warnings.catch_warnings(), at_work(f"fitting {log}"):
         warnings.simplefilter("ignore", UserWarning)  # the scene's are printed
         if is_servo:
@@ -759,7 +759,7 @@ def identify(
             device = fits.identify(**columns, spring=spring)
     units = Units.ROTATION if turns else Units.LINE
     scene = fits.identified_scene(device, units, log.name)
-    warn(*filter(None, [device.warning]), *Scene.from_table(parsed(scene)).unusual())
+    warn(*filter(None, [clash, device.warning]), *Scene.from_table(parsed(scene)).unusual())
     if plot:
         from jaxstab.pictures.scene import identified_figure
 

@@ -34,7 +34,6 @@ from jaxtyping import Float64
 from jaxstab.arrays import (
     Array,
     is_jax,
-    is_traced,
     namespace,
     repeat,
     repeat_and_keep,
@@ -242,15 +241,14 @@ def series(
 ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
     """Return the coefficients of S(t) / t and Y(t) / t^2 for times up to the longest.
 
-    Traced ones, whose size is unknown, get enough for an error of 1e-10 where both are up to 1.
+    Arrays get as many as the largest numbers need, where gamma and delta are up to 1.
     """
-    traced_terms = 13
-    terms, power = [0.0, 1.0], 1.0
+    most = 33
+    terms, power = [0.0 * gamma, 1.0 + 0.0 * gamma], 1.0
 
     def is_short() -> bool:
-        if is_traced(gamma):
-            return len(terms) < traced_terms
-        return abs(terms[-1]) + abs(terms[-2]) * longest > SMALLEST_TERM / power
+        last = abs(terms[-1]) + abs(terms[-2]) * longest
+        return len(terms) < most and bool(np.max(last) > SMALLEST_TERM / power)
 
     while len(terms) % 4 != 1 or is_short():
         order = len(terms) - 1

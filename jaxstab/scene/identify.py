@@ -5,37 +5,34 @@ The model is one mass behind a zero-order hold and a delay,
     m x'' + b x' + f_c sign(x') + c [+ k x] = u(t - t_d),
 
 with a constant force c (gravity, an offset of the amplifier), read by an encoder. Between arrivals
-of forces its motion is exact, sticking included (``jaxstab.motion.contact``), and differentiable
-with respect to all of these. Where the delay is w + f samples, f is the length of the first of the
-two pieces of a sample, so positions are differentiable with respect to the delay, too.
+of forces its motion is exact, sticking included (``jaxstab.motion.contact``). The fit compares
+positions, simulated with measured (output error). The log is cut into segments, each with an
+initial position and velocity of its own, so that what the model lacks does not add up over the log.
 
-The fit compares positions, simulated with measured (output error). The log is cut into segments,
-each with an initial position and velocity of its own, so that what the model lacks does not add up
-over the log. The start is a linear regression: the equation of motion is multiplied by bumps of 40
-ms and integrated by parts, so that only the sign of the velocity needs a derivative of the
-positions; of all whole delays below 100 samples the one with the smallest residual is taken. Then
-``scipy.optimize.least_squares`` refines the values. For each of them the initial states follow by
-steps of Gauss and Newton, segment by segment, and the derivatives are less what these states can
-explain (Kaufman 1975).
+The start is a linear regression: the equation of motion is multiplied by bumps of 40 ms and
+integrated by parts, so that only the sign of the velocity needs a derivative of the positions; of
+all whole delays below 100 samples the one with the smallest residual is taken. Then
+``scipy.optimize.least_squares`` refines the values and the initial states together. A segment's
+derivatives (differences of simulations that run side by side) and its residual are rotated into
+as many rows as there are columns: what a sum of squares depends on is kept.
 
-Rounding and friction leave residuals that are not white and depend on the motion. The covariance is
-therefore the jackknife's over segments (Efron, Stein 1981), from the Jacobian: with J_s the rows of
-segment s, A_s = J_s' J_s, A their sum and g_s = J_s' r_s, leaving the segment out moves the
-estimate by (A - A_s)^-1 g_s. Nothing is assumed of the residuals within a segment. Intervals are
-Student's, with one degree of freedom fewer than there are segments.
+Rounding and friction leave residuals that are not white and depend on the motion: intervals of
+white noise, or of noise with the correlations of the residual, contain the truth in 80 to 95 of
+100 logs. The covariance is therefore the jackknife's over segments (Efron, Stein 1981), from the
+Jacobian: with J_s the rows of segment s less what its initial state explains, A_s = J_s' J_s, A
+their sum and g_s = J_s' r_s, leaving the segment out moves the estimate by (A - A_s)^-1 g_s.
+Intervals are Student's, with one degree of freedom fewer than there are segments. Where one segment
+tells more than all others, as of a loop that diverges, the jackknife compares nothing. So no
+interval is narrower than that of white noise.
 
-A log is a CSV file with a header and one row for each sample. An encoder reads multiples of a step,
-which the smallest difference of two readings tells. The velocity that software logs beside it
-follows from the readings, by a window or a low pass: each window is tried, and a low pass is fitted
-by a linear regression for its factor. The one with the smaller error is taken.
+An encoder reads multiples of a step, which the smallest difference of two readings tells. The
+velocity that software logs beside it follows from the readings, by a window or a low pass: each
+window is tried, and a low pass is fitted by a linear regression for its factor.
 
 Where positions are not multiples of a step, the test of Ljung and Box (1978) tells whether what is
 left is white: with the correlations r_h of the residual over h samples, n (n + 2) sum r_h^2/(n - h)
 of white noise is chi-squared. What an encoder rounds is not white, so there it is the size that
 tells: that of rounding, or more.
-
-A scene takes mass and delay as ranges: the ends of their intervals. Where a warning says that the
-model lacks something, intervals do not hold, and the scene has the values alone.
 
 Of a servo with known gains a step of the set point is enough: y = x less the set point is the free
 motion of a wall (kp, kd) from -step, which ``HapticLoop.simulate`` has. Mass, damping and delay
@@ -43,21 +40,18 @@ follow by least squares from the best of some tries, intervals from the Jacobian
 """
 
 import warnings
+from contextlib import suppress
 from dataclasses import dataclass, fields
-from functools import cache, lru_cache
 from math import floor, inf, isnan, log, log10, nan, pi, sqrt
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float64
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 from scipy.special import chdtrc, stdtrit
 
-from jaxstab.arrays import Array, Numbers
-from jaxstab.batches import in_float64
+from jaxstab.arrays import Numbers
 from jaxstab.loop import HapticLoop
 from jaxstab.model import Velocity
 from jaxstab.motion.contact import Flow, Plant, Runs, Seen, series, series_at
@@ -69,8 +63,11 @@ from jaxstab.tables import columns_of
 
 Rows = Float64[np.ndarray, " row"]
 Segments = Float64[np.ndarray, "segment sample"]
+Pushes = Float64[np.ndarray, "segment push"]  # from HISTORY before a segment to AHEAD behind it
+Unknowns = Float64[np.ndarray, "segment unknown"]  # initial position and velocity, and the values
 
 HISTORY = 100  # samples before the first segment: longer delays are not tried
+AHEAD = 8  # samples: shorter delays than -8, of columns shifted in time, are not tried
 _EXCITE = "excite the device more strongly, or with more changes of the force"
 
 
@@ -212,8 +209,9 @@ def identify(
             "estimates, or none."
         )
     middle = float(positions.mean())
-    estimates, measured, fitted = _fit(forces, (positions - middle) / unit, period, spring)
-    residual, spread = unit * _rms(measured - fitted), float(np.std(positions))
+    estimates, *paths = _fit(forces, (positions - middle) / unit, period, spring)
+    measured, fitted = (middle + unit * path for path in paths)
+    residual, spread = _rms(measured - fitted), float(np.std(positions))
     misfit = 0.1  # of the motion: a log with a larger residual is refused
     if not residual < misfit * spread:
         raise ValueError(
@@ -221,17 +219,16 @@ def identify(
             f"motion {spread:g} rms; let go of the handle, and log force and position of the same "
             "sample in one row."
         )
-    factors = (period**2 / unit, period / unit, 1.0, 1.0, 1.0 / unit, period)
-    found = [*map(Estimate.times, estimates, factors)]
-    mass, loose = found[0], 0.5  # of the mass: a larger half-width of its interval is refused
+    factors = (period**2 / unit, period / unit, 1.0, 1.0, period, 1.0 / unit)
+    mass, *others = map(Estimate.times, estimates, factors)
+    loose = 0.5  # of the mass: a larger half-width of its interval is refused
     if not mass.high - mass.low < 2.0 * loose * mass.value:
         raise ValueError(
             f"the log does not separate the mass from damping and friction: it is {mass.low:.3g} "
             f"to {mass.high:.3g}; {_EXCITE}."
         )
     estimator = _estimator(positions, columns.get("velocity"), period)
-    paths = middle + unit * measured, middle + unit * fitted
-    return _identified(found, period, resolution, extent, estimator, *paths)
+    return _identified([mass, *others], period, resolution, extent, estimator, measured, fitted)
 
 
 def identify_servo(
@@ -324,8 +321,14 @@ def identify_servo(
     spread = np.sqrt(np.diag(np.linalg.pinv(found.jac.T @ found.jac)) * 2.0 * found.cost / free)
     values, half = found.x * sizes, stdtrit(free, 0.975) * spread * abs(sizes)
     mass, damping, late, _ = map(Estimate, values, values - half, values + half)
-    none, late = Estimate(0.0, 0.0, 0.0), late.times(period, 0.0)
-    every, paths = [mass, damping, none, none, none, late], (measured[None], fitted[None])
+    every = [
+        mass,
+        damping,
+        Estimate(0.0, 0.0, 0.0),
+        Estimate(0.0, 0.0, 0.0),
+        late.times(period, 0.0),
+    ]
+    paths = measured[None], fitted[None]
     return _identified(every, period, resolution, abs(step), (velocity, nan), *paths)
 
 
@@ -345,18 +348,34 @@ def _identified(
     period: float,
     resolution: float | None,
     extent: float,
-    velocity: tuple[Velocity | None, float],
+    estimator: tuple[Velocity | None, float],
     measured: Segments,
     fitted: Segments,
 ) -> Identified:
     """The answer, with what the residual says of it; ``extent`` is that of the motion."""
-    mass, damping, friction, *others = estimates
+    mass, damping, friction, offset, delay, stiffness = [*estimates, Estimate(0.0, 0.0, 0.0)][:6]
     _warn_of_units(mass.value, period)
-    residual = measured - fitted
-    told = _rms(residual), _doubt(residual, resolution, extent, period), *velocity
-    found: list[Any] = [mass, damping.times(1.0, 0.0), friction.times(1.0, 0.0), *others]
-    found += [period, resolution, *told, measured, fitted]
-    return Identified(*found)
+    doubts = [_doubt(measured - fitted, resolution, extent, period)]
+    if delay.high < 0.0:
+        doubts.append(
+            f"positions are {-1e3 * delay.value:.3g} ms ahead of the forces that cause them: "
+            "columns are shifted in time; log force and position of the same sample in one row"
+        )
+    return Identified(
+        mass,
+        damping.times(1.0, 0.0),
+        friction.times(1.0, 0.0),
+        offset,
+        stiffness,
+        delay,
+        period,
+        resolution,
+        _rms(measured - fitted),
+        "; ".join(filter(None, doubts)),
+        *estimator,
+        measured,
+        fitted,
+    )
 
 
 def _rms(values: Any) -> float:
@@ -401,8 +420,8 @@ def _warn_of_units(mass: float, period: float) -> None:
 
 def _start(
     forces: Rows, positions: Rows, period: float, spring: bool
-) -> tuple[Float64[np.ndarray, " 6"], Rows]:
-    """Return mass, damping, friction, offset, stiffness and delay in samples, and velocities."""
+) -> tuple[Float64[np.ndarray, " value"], Rows]:
+    """Mass, damping, friction, offset, delay in samples, and of a spring stiffness; velocities."""
     half = int(np.clip(0.04 / period, 16, 200)) // 2  # of 40 ms, in samples
     bump = (1.0 - (np.arange(1 - half, half) / half) ** 2) ** 3
     slope, bend = np.convolve(bump, [0.5, 0.0, -0.5]), np.convolve(bump, [1.0, -2.0, 1.0])
@@ -414,129 +433,132 @@ def _start(
         np.full(len(positions), bump.sum()),
         *([np.convolve(positions, bump, "same")] if spring else []),
     ]
-    pushes = np.convolve(forces, bump, "same")
+    pushes, lags = np.convolve(forces, bump, "same"), range(-AHEAD, HISTORY)
     inside = slice(HISTORY + 2 * half, len(positions) - 2 * half)
     rows = np.stack(terms, axis=1)[inside]
-    delayed = np.stack([np.roll(pushes, lag)[inside] for lag in range(HISTORY)], axis=1)
+    delayed = np.stack([np.roll(pushes, lag)[inside] for lag in lags], axis=1)
     guesses = np.linalg.lstsq(rows, delayed)[0]
-    best = int(np.argmin(np.sum((rows @ guesses - delayed) ** 2, axis=0)))
-    values = np.append(guesses[:, best], [0.0] * (not spring))
-    if not abs(values[0]) * np.std(rows[:, 0]) > 0.01 * np.std(delayed[:, best]):
+    best = int(np.argmin(np.sum((rows @ guesses - delayed) ** 2, axis=0)[1:-1])) + 1
+    slower = 0.5 * (delayed[:, best + 1] - delayed[:, best - 1])  # for a longer delay
+    every = np.column_stack([rows, -slower])
+    mass, damping, friction, offset, *stiffness, more = np.linalg.lstsq(every, delayed[:, best])[0]
+    if not abs(mass) * np.std(rows[:, 0]) > 0.01 * np.std(delayed[:, best]):
         raise ValueError(
             f"less than 1 % of the force accelerates the device, so the log "
             f"does not determine the mass; {_EXCITE}."
         )
-    if not values[0] > 0.0:
+    if not mass > 0.0:
         raise ValueError(
             "the device accelerates against the force; give force and position of the same axis, "
             "with the same sign."
         )
-    values[0] = max(values[0], abs(values[1]), abs(values[4]))  # nothing is faster than a sample
-    return np.append(values, max(best - 0.5, 0.5)), speeds  # a held force is half a sample late
+    damping, *stiffness = (max(value, 0.0) for value in (damping, *stiffness))  # nothing grows
+    mass = max(mass, damping, *stiffness)  # and nothing is faster than a sample
+    late = lags[best] - 0.5 + np.clip(more, -0.5, 0.5)  # a held force is half a sample late
+    return np.array([mass, damping, friction, offset, late, *stiffness]), speeds
 
 
 def _fit(
     forces: Rows, positions: Rows, period: float, spring: bool
 ) -> tuple[list[Estimate], Segments, Segments]:
-    """Return estimates for a sampling period of 1; positions in segments, measured and fitted."""
+    """Estimates in the order of ``_start``, for a sampling period of 1; measured, fitted paths."""
     start, speeds = _start(forces, positions, period, spring)
-    count = int(np.clip((len(positions) - HISTORY - 1) // 500, 16, 64))  # of about 500 rows
-    length = (len(positions) - HISTORY - 1) // count
-    begins = HISTORY + length * np.arange(count)
-    measured = positions[begins[:, None] + np.arange(length)]
-    pushes = forces[begins[:, None] + np.arange(-HISTORY, length + 1)]
-    least = np.array([0.0, 0.0, 0.0, 0.01, 1e-6 * start[0] * spring, 0.05])
-    sizes = start * [1e-3, 1e-2, 1e-2, 0.0, 1e-2, 0.0] + least  # a spring may start next to 0
-    free = np.flatnonzero(sizes)
-    states, shape = np.stack([measured[:, 0], speeds[begins]], axis=1), measured.shape
-    scale = np.array([1.0, 1.0 / length])
+    inside = len(positions) - HISTORY
+    count = int(np.clip(inside // 500, 16, 64))  # of about 500 rows
+    length = inside // count
+    begins = HISTORY + length * np.arange(count)[:, None]
+    measured = positions[begins + np.arange(length)]
+    pushes = np.pad(forces, (0, AHEAD), "edge")[begins + np.arange(-HISTORY, length + AHEAD)]
+    begin = np.hstack([measured[:, :1], speeds[begins], np.tile(start, (count, 1))])
+    # Sizes that move the path by about as much as it is long.
+    way, push, mass = 1.0 + np.ptp(measured, axis=1), np.std(forces), start[0]
+    sizes = [mass, mass / length, push, push, 1.0, mass / length**2][: len(start)]
+    every = np.hstack([np.outer(way, [1.0, 1.0 / length]), np.tile(sizes, (count, 1))])
+    unknowns, fitted, rows = _refined(begin, every, measured, pushes)
+    values = unknowns[0, 2:]
+    half = stdtrit(count - 1, 0.975) * np.sqrt(_variances(rows, measured.size)) * sizes
+    return list(map(Estimate, values, values - half, values + half)), measured, fitted
 
-    @lru_cache(maxsize=2)  # residuals and derivatives are asked for one after the other
-    def fitted(moves: tuple[float, ...]) -> tuple[Segments, np.ndarray]:
-        values, trial = start.copy(), states.copy()  # the states of values asked for before
-        values[free] += sizes[free] * moves
-        best = states, np.full(count, np.inf), np.empty_like(measured), np.empty((*shape, 8))
-        settled = 1e-6  # encoder steps: a smaller move ends the search for initial states
-        held = 1e-6  # of the largest singular value: what a segment tells less of stays as it is
-        for _ in range(8):
-            both = np.hstack([np.tile(values, (count, 1)), trial])
-            path, slopes = in_float64(_program(), both, pushes)
-            squares = np.sum((measured - path) ** 2, axis=1)
-            is_better = (squares < best[1])[:, None]
-            for kept, new in zip(best, (trial, squares, path, slopes), strict=True):
-                kept[is_better[:, 0]] = new[is_better[:, 0]]
-            to_states = best[3][:, :, 6:] * scale
-            inverse = np.linalg.pinv(to_states, held)  # a velocity that friction stops is lost
-            step = scale * (inverse @ (measured - best[2])[..., None])[..., 0]
-            trial = np.where(is_better, states + step, 0.5 * (states + trial))
-            if np.all(np.abs(trial - states) <= settled * scale):
+
+@np.errstate(all="ignore")  # a try may grow beyond all numbers
+def _refined(
+    begin: Unknowns, sizes: Unknowns, measured: Segments, pushes: Pushes
+) -> tuple[Unknowns, Segments, Float64[np.ndarray, "segment row column"]]:
+    """Unknowns with the least sum of squares, their paths, and derivatives and residuals there.
+
+    By steps of Gauss and Newton, halved where the sum grows. The initial states are eliminated
+    segment by segment: their columns are the first.
+    """
+    number, nudge = begin.shape[1], 1e-7  # of a size: the differences for derivatives
+    nudges = nudge * np.eye(number + 1, number, -1)[:, None]  # the first is none
+    best = trial = begin / sizes
+    least, step, shortest = inf, np.zeros_like(trial), 1e-10
+    for _ in range(100):
+        trial[:, 6] = np.clip(trial[:, 6], -AHEAD, HISTORY - 1.0)  # the delay
+        path, *moved = _paths((trial + nudges) * sizes, pushes)
+        columns = [*(np.array(moved) - path) / nudge, path - measured]
+        squares = float(np.sum(columns[-1] ** 2))
+        if squares < least:
+            gain, least, best, fitted = least - squares, squares, trial, path
+            rows = np.linalg.qr(np.stack(columns, axis=-1), mode="r")
+            own, left = rows[:, :2], rows[:, 2:].reshape(-1, number + 1)
+            values = np.linalg.lstsq(left[:, 2:-1], -left[:, -1])[0]
+            inverse = np.linalg.pinv(own[..., :2], 1e-6)  # a velocity that friction stops is lost
+            states = -(inverse @ (own[..., 2:-1] @ values + own[..., -1])[..., None])[..., 0]
+            step = np.hstack([states, np.tile(values, (len(begin), 1))])
+            if gain < 1e-9 * least:
                 break
-        rows = best[3][:, :, free] * sizes[free]
-        return best[2], rows - to_states @ (inverse @ rows)
+        else:
+            step *= 0.5
+            if np.max(abs(step)) < shortest:
+                break
+        trial = best + step
+    return best * sizes, fitted, rows
 
-    lightest = 1e-3  # of the first guess of the mass
-    found = least_squares(
-        lambda moves: (fitted(tuple(moves))[0] - measured).ravel(),
-        np.zeros(free.size),
-        lambda moves: fitted(tuple(moves))[1].reshape(-1, free.size),
-        bounds=(np.where(free == 0, (lightest - 1.0) * start[0] / sizes[0], -np.inf), np.inf),
-        max_nfev=40,
-        ftol=1e-12,
-        xtol=1e-9,
-        gtol=None,
-    )
-    rows, residuals = found.jac.reshape(count, length, -1), found.fun.reshape(count, length)
-    squares = rows.transpose(0, 2, 1) @ rows
-    gradients = np.einsum("srp,sr->sp", rows, residuals)
+
+def _variances(
+    rows: Float64[np.ndarray, "segment row column"], count: int
+) -> Float64[np.ndarray, " value"]:
+    """Variances of the values: those of the jackknife, or of white noise where these are larger."""
+    slopes, residuals = rows[:, 2:, 2:-1], rows[:, 2:, -1]  # less what initial states explain
+    squares = slopes.transpose(0, 2, 1) @ slopes
+    gradients = np.einsum("srp,sr->sp", slopes, residuals)
+    segments, number = gradients.shape
     try:
         moves = np.linalg.solve(squares.sum(0) - squares, gradients[..., None])[..., 0]
+        white = np.diag(np.linalg.inv(squares.sum(0)))
     except np.linalg.LinAlgError:  # the log does not separate them
-        moves = np.full((count, free.size), np.inf)
-    values, errors = start.copy(), np.zeros(6)
-    values[free] += sizes[free] * found.x
-    errors[free] = np.abs(sizes[free]) * np.sqrt((count - 1.0) / count * np.sum(moves**2, axis=0))
-    half = stdtrit(count - 1, 0.975) * errors
-    return list(map(Estimate, values, values - half, values + half)), measured, residuals + measured
+        return np.full(number, inf)
+    noise = np.sum(residuals**2) / (count - 2 * segments - number)
+    return np.maximum((segments - 1.0) / segments * np.sum(moves**2, axis=0), noise * white)
 
 
-@cache
-def _program() -> Any:
-    """Return the compiled simulation of segments: positions, and derivatives.
-
-    These are the derivatives with respect to the values of ``_start`` and the initial state, in
-    one row for each segment.
-    """
-
-    def path(both: Array, forces: Array) -> Array:
-        mass, damping, friction, offset, stiffness, delay, x, v = both
-        gamma, delta = stiffness / mass, damping / mass
-        impulse, step = series(gamma, delta, 1.0)
-        whole = jnp.floor(jax.lax.stop_gradient(delay))
-        length = len(forces) - HISTORY - 1
-        lengths = jnp.tile(jnp.stack([delay - whole, 1.0 - (delay - whole)]), length)
-        newest = jnp.arange(length) + HISTORY - whole.astype(int)
-        acting = jnp.stack([forces[newest - 1], forces[newest]], axis=1).ravel()
-        pushed = lengths * series_at(impulse, lengths)
-        moved = lengths**2 * series_at(step, lengths)
-        flows = Flow(lengths, pushed, 1.0 - delta * pushed - gamma * moved, moved)
-        plant = Plant(gamma, 0.5 * delta, gamma - 0.25 * delta**2, impulse, step, [[0]], [[]], 0)
-        nothing = 0.0 * x
-        runs, seen = Runs(*[nothing] * 12), Seen(*[nothing] * 6)
-        runs = runs._replace(friction=friction / mass, static_friction=friction / mass)
-
-        def piece(state: Any, of_piece: Any) -> Any:
-            force, flow = of_piece
-            own = plant._replace(flows=[[flow]])
-            return own.moved(runs, state, seen, [(force - offset) / mass], 0)[0], state[0]
-
-        return jax.lax.scan(piece, (x, v), (acting, flows))[1][::2]
-
-    def with_slopes(both: Array, forces: Array) -> tuple[Array, Array]:
-        twice = lambda both: (path(both, forces),) * 2  # noqa: E731
-        slopes, positions = jax.jacfwd(twice, has_aux=True)(both)
-        return positions, slopes
-
-    return jax.jit(jax.vmap(with_slopes))
+def _paths(
+    tries: Float64[np.ndarray, "try segment unknown"], pushes: Pushes
+) -> Float64[np.ndarray, "try segment sample"]:
+    """Positions of tries, side by side: their motion is exact from force to force."""
+    x, v, mass, damping, friction, offset, delay, *spring = np.moveaxis(tries, -1, 0)
+    gamma, delta = (spring[0] if spring else 0.0) / mass, damping / mass
+    impulse, step = series(gamma, delta, 1.0)
+    whole = np.floor(delay).astype(int)
+    flows = []
+    for time in (delay - whole, 1.0 - (delay - whole)):
+        pushed, moved = time * series_at(impulse, time), time**2 * series_at(step, time)
+        flows.append(Flow(time, pushed, 1.0 - delta * pushed - gamma * moved, moved))
+    turn = [[1, 0]], [flows]  # the force before the newest acts first
+    plant = Plant(gamma, 0.5 * delta, gamma - 0.25 * delta**2, impulse, step, *turn, oldest=1)
+    nothing = np.zeros_like(x)
+    runs, seen = Runs(*[nothing] * 12), Seen(*[nothing] * 6)
+    runs = runs._replace(friction=friction / mass, static_friction=friction / mass)
+    length = pushes.shape[1] - HISTORY - AHEAD
+    segment, newest = np.arange(len(pushes)), HISTORY - whole
+    paths, state = np.empty((length, *x.shape)), (x, v)
+    for sample in range(length):
+        paths[sample] = state[0]
+        ages = sample + newest, sample + newest - 1
+        forces = [(pushes[segment, row] - offset) / mass for row in ages]
+        state, _ = plant.moved(runs, state, seen, forces, 0)
+    return np.moveaxis(paths, 0, -1)
 
 
 # Logs: their columns, the step of the encoder, and what the residual and the velocity tell.
@@ -544,31 +566,42 @@ def _program() -> Any:
 
 def read_log(
     file: str, names: dict[str, str], sample_time: float | None, optional: list[str]
-) -> dict[str, Any]:
-    """Return the sampling period and the columns of a log, by their names in ``identify``.
+) -> tuple[dict[str, Any], str]:
+    """The sampling period and columns of a log, by their names in ``identify``, and a warning.
 
     ValueError: the file is bad, or its time steps differ.
     """
-    needed = [own for key, own in names.items() if key != "time" or sample_time is None]
-    needed = [own for own in needed if own not in optional]
-    table = columns_of(file, needed, optional)
-    columns = {key: np.array(table[name]) for key, name in names.items() if name in table}
-    unequal = 0.1  # of a sample: the most that a time step may differ from the mean
-    if sample_time is None:
-        steps = np.diff(columns["time"])
-        if not len(steps):
-            raise ValueError(f"{file} has {len(columns['time'])} rows of numbers; give all.")
-        sample_time = float(np.mean(steps))
-        odd = np.flatnonzero(~(abs(steps - sample_time) <= unequal * sample_time))
-        if len(odd) or not sample_time > 0.0:
-            line = int(odd[0]) + 3 if len(odd) else 3
-            raise ValueError(
-                f"{file}, line {line}: the time does not grow by the mean step of "
-                f"{sample_time:.6g} s; give a log with equal steps, or --sample-time if no row is "
-                "missing."
+    time, own = names["time"], {key: name for key, name in names.items() if key != "time"}
+    needed = [name for name in own.values() if name not in optional]
+    table = columns_of(file, [*needed, *[time] * (sample_time is None)], optional)
+    columns = {key: np.array(table[name]) for key, name in own.items() if name in table}
+    if sample_time is not None:
+        return {"sample_time": sample_time, **columns}, _clash(file, time, sample_time)
+    steps, unequal = np.diff(table[time]), 0.1  # of a sample: the most that a time step may differ
+    if not len(steps):
+        raise ValueError(f"{file} has {len(table[time])} rows of numbers; give all.")
+    sample_time = float(np.mean(steps))
+    odd = np.flatnonzero(~(abs(steps - sample_time) <= unequal * sample_time))
+    if len(odd) or not sample_time > 0.0:
+        line = int(odd[0]) + 3 if len(odd) else 3
+        raise ValueError(
+            f"{file}, line {line}: the time does not grow by the mean step of {sample_time:.6g} s; "
+            "give a log with equal steps, or --sample-time if no row is missing."
+        )
+    return {"sample_time": sample_time, **columns}, ""
+
+
+def _clash(file: str, time: str, sample_time: float) -> str:
+    """A warning if the file has a time column with another mean step than the sampling period."""
+    with suppress(ValueError):  # there is none, it has no numbers, or stdin was read
+        times = columns_of(file, [time])[time]
+        step = (times[-1] - times[0]) / max(len(times) - 1, 1)
+        if not abs(step - sample_time) <= 0.01 * sample_time:
+            return (
+                f"column {time} grows by {step:.6g} a row, and --sample-time is {sample_time:g} s, "
+                "which was taken"
             )
-    columns.pop("time", None)
-    return {"sample_time": sample_time, **columns}
+    return ""
 
 
 def _resolution(positions: Rows) -> float | None:
