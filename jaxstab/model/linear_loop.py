@@ -13,7 +13,7 @@ any device, is the middle of its balls (``balls.linear_loop``).
 
 from fractions import Fraction
 from functools import lru_cache, reduce
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -42,9 +42,6 @@ from jaxstab.model.parameters import (
 from jaxstab.model.plant import may_cancel, pairs_error, plant_pairs
 from jaxstab.numbers import real_numbers, require_together
 from jaxstab.rounding import FILTERS, PAIR_PRODUCT
-
-if TYPE_CHECKING:
-    from flint import fmpq
 
 Polynomial = tuple[DoubleDouble, ...]
 """Coefficients in powers of 1/z, lowest first; in powers of z they are those, highest first."""
@@ -177,8 +174,8 @@ def _exact_factors(velocity: tuple[Section, ...], position: tuple[Section, ...])
     return FilterFactors((base, stiffness, damping), (errors[0], errors[1], errors[2]))
 
 
-def _nearest(number: "fmpq") -> DoubleDouble:
-    """The pair next to an exact number."""
+def _nearest(number: Any) -> DoubleDouble:
+    """The pair next to an exact number of python-flint."""
     return DoubleDouble.from_value(Fraction(int(number.p), int(number.q)))
 
 

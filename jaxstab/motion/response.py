@@ -29,6 +29,7 @@ from jaxstab.arrays import (
     are_numbers,
     fixed,
     float_arrays,
+    is_any_jax,
     is_traced,
     leaves,
     namespace,
@@ -406,10 +407,8 @@ Lanes = Float64[np.ndarray, " wall"]
 
 def controller_for(filters: Filters | None) -> Controller:
     """The controller of an estimator and a filter; those of plain numbers are remembered."""
-    filters = filters or NO_FILTERS
-    is_plain = all(isinstance(leaf, float | int) for leaf in leaves(filters))
-    make = _remembered_controller if is_plain else Controller.from_filters
-    return make(filters)
+    make = Controller.from_filters if is_any_jax(filters) else _remembered_controller
+    return make(filters or NO_FILTERS)
 
 
 _remembered_controller = lru_cache(maxsize=64)(Controller.from_filters)

@@ -17,7 +17,6 @@ A device in z moves from step to step by exact numbers; the hand's force and blo
 """
 
 from collections.abc import Sequence
-from fractions import Fraction
 from functools import lru_cache
 from itertools import pairwise
 from math import ceil, log2, pi
@@ -212,8 +211,7 @@ def _in_steps(
 
 
 def _of_fractions(exact_numbers: "fmpq_mat") -> Float64[np.ndarray, "row column"]:
-    rows = exact_numbers.tolist()
-    return np.array([[float(Fraction(int(x.p), int(x.q))) for x in row] for row in rows])
+    return np.array([[int(x.p) / int(x.q) for x in row] for row in exact_numbers.tolist()])
 
 
 class Equations(NamedTuple):
@@ -313,11 +311,10 @@ def handle_equations(device: Device, sample_time: float) -> HandleEquations:
         # The second state of the canonical form is the velocity, less a share of the position.
         there, back = (flint.arb_mat(columns, columns) + 1 for _ in range(2))
         there[1, 0], back[1, 0] = matrix[0, 0], -matrix[0, 0]
-        rows = (there * matrix * back).tolist()[:-2]
+        rates = _floats(there * matrix * back)[:-2]
     at_rest = moves.at_rest.copy()
     at_rest[1] = 0.0
     pull = columns - 3 if device.bandwidths else columns - 2
-    rates = np.array([[_float(entry) for entry in row] for row in rows])
     return HandleEquations(rates, pull, at_rest, moves.thrown, ticks)
 
 
