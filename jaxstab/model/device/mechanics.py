@@ -368,104 +368,80 @@ class Between(NamedTuple):
     path: tuple[float, float]
 
 
-Node = tuple[float, bool]  # a time, and whether the wall's force has changed by then
-Piece = tuple[float, float, bool]  # between two such times
-
-
 @lru_cache(maxsize=32)
 def between_samples(device: Device, sample_time: float, fraction: float) -> Between:
     """The motion of a device within a sample, for a fraction of the delay."""
-
-    def asked() -> tuple[bool, Between]:
-        matrix, _, below = equations(device, sample_time)
-        actuators = range(len(below) - 1, matrix.ncols() - 2)
-        rates = [2.0 ** speed_of(below), *(float(-matrix[k, k]) for k in actuators)]
-        motion = _Motion(matrix, fraction)
-        pieces = motion.pieces(max(rates))
-        nodes = dict.fromkeys(node for piece in pieces for node in _ends(*piece))
-        rows = {node: motion.rows(*node) for node in nodes}
-        return all(map(_are_known, rows.values())), _rounded(motion, pieces, rows)
-
-    return decided(asked, most=_MOST_BITS, is_answered=lambda found: found[0])[1]
+    return decided(
+        lambda: _between(equations(device, sample_time), fraction),
+        most=_MOST_BITS,
+        is_answered=lambda found: found[0],
+    )[1]
 
 
-class _Motion(NamedTuple):
-    """[[A, B], [0, 0]] of states, the wall's force and the hand's, and when the wall's changes."""
+def _between(given: Equations, fraction: float) -> tuple[bool, Between]:
+    """The same in balls of the precision that is set, and whether its rows are known."""
+    matrix, order = given.matrix, len(given.below) - 1
+    size, turned = matrix.ncols() - 2, matrix.transpose()
+    units = (flint.arb_mat(size + 2, size + 2) + 1).tolist()
+    seen = _derivatives(flint.arb_mat(units[:1]), matrix)
+    struck = _derivatives(flint.arb_mat(units[-1:]) * turned, turned)
 
-    matrix: "arb_mat"
-    fraction: float
-
-    @property
-    def states(self) -> int:
-        return int(self.matrix.ncols()) - 2
-
-    def pieces(self, speed: float) -> list[Piece]:
-        count = min(speed, 24.0)
-        parts = [(0.0, self.fraction, False), (self.fraction, 1.0, True)]
-        pieces = []
-        for start, end, is_late in parts if self.fraction else parts[1:]:
-            ends = np.linspace(start, end, max(1, ceil(count * (end - start))) + 1).tolist()
-            pieces += [(a, b, is_late) for a, b in pairwise(ends)]
-        return pieces
-
-    def rows(self, time: "float | arb", is_late: bool) -> "arb_mat":
-        """The position and its derivatives up to the fifth, of states and two forces."""
-        whole = _derivatives(self.matrix, self._unit(0), time)
-        since = time - flint.arb(exact(self.fraction))
-        late = _derivatives(self.matrix, self._unit(0), since) if is_late else 0 * whole
+    def rows_at(time: "float | arb", is_late: bool) -> "arb_mat":
+        """The position and its derivatives, of states and two forces."""
+        since = time - flint.arb(exact(fraction))
+        whole = seen * (matrix * flint.arb(time)).exp()
+        late = seen * (matrix * since).exp() if is_late else 0 * whole
         pairs = zip(whole.tolist(), late.tolist(), strict=True)
         return flint.arb_mat([[*row[:-2], row[-2] - new[-2], new[-2]] for row, new in pairs])
 
-    def blows(self, time: "float | arb") -> "arb_mat":
+    def blows_at(time: "float | arb") -> "arb_mat":
         """The states a time after a unit impulse at the handle, and their derivatives."""
-        turned = self.matrix.transpose()
-        found = _derivatives(turned, self._unit(self.states + 1) * turned, time)
-        return flint.arb_mat([row[: self.states] for row in found.tolist()])
+        rows = (struck * (turned * flint.arb(time)).exp()).tolist()
+        return flint.arb_mat([row[:size] for row in rows])
 
-    def _unit(self, index: int) -> "arb_mat":
-        return flint.arb_mat([[int(k == index) for k in range(self.states + 2)]])
-
-
-def _derivatives(matrix: "arb_mat", row: "arb_mat", time: "float | arb") -> "arb_mat":
-    """A row times exp(matrix time), and its derivatives by time up to the fifth."""
-    rows = []
-    for _ in range(6):
-        rows.append(row.entries())
-        row = row * matrix
-    return flint.arb_mat(rows) * (matrix * flint.arb(time)).exp()
-
-
-def _ends(start: float, end: float, is_late: bool) -> tuple[Node, Node]:
-    """The two ends of a piece; that of a sample is the beginning of the next one."""
-    return (start, is_late), (end % 1.0, is_late and end < 1.0)
-
-
-def _rounded(motion: _Motion, pieces: list[Piece], rows: dict[Node, "arb_mat"]) -> Between:
+    rates = [2.0 ** speed_of(given.below), *(float(-matrix[k, k]) for k in range(order, size))]
+    speed = min(max(rates), 24.0)
+    pieces = []  # between two times, and whether the wall's force has changed by then
+    for start, end, is_late in ((0.0, fraction, False), (fraction, 1.0, True)):
+        if start < end:
+            times = np.linspace(start, end, ceil(speed * (end - start)) + 1).tolist()
+            pieces += [(*ends, is_late) for ends in pairwise(times)]
+    # The end of a sample is the beginning of the next one.
+    nodes = [
+        ((start, is_late), (end % 1.0, is_late and end < 1.0)) for start, end, is_late in pieces
+    ]
+    rows = {k: rows_at(*k) for k in dict.fromkeys(node for pair in nodes for node in pair)}
     index = dict(zip(rows, np.arange(4 * len(rows)).reshape(-1, 4), strict=True))
-    size = motion.states
-    values = [*(_floats(matrix)[:4] for matrix in rows.values()), np.eye(size + 1, size + 2)]
-    half = np.array([0.5 * (end - start) for start, end, _ in pieces]) * RAISED
-    remainder = np.array([_sizes(motion.rows(_over(*piece[:2]), piece[2]))[4:] for piece in pieces])
+    values = [*(_floats(balls)[:4] for balls in rows.values()), np.eye(size + 1, size + 2)]
+    remainder = [_sizes(rows_at(_over(start, end), is_late))[4:] for start, end, is_late in pieces]
     count = len(pieces)
     times = [k / count for k in range(count + 1)]
-    blows = np.array([_floats(motion.blows(time)) for time in times])
-    widest = np.array([_sizes(motion.blows(_over(*ends))) for ends in pairwise(times)])
+    blows = np.array([_floats(blows_at(time)) for time in times])
+    widest = np.array([_sizes(blows_at(_over(*ends))) for ends in pairwise(times)])
     share = 0.5 / count * RAISED
     # The integral of a modulus: that of the chord, and what the second derivative adds.
     chords = share * (abs(blows[:-1, :2, 0]) + abs(blows[1:, :2, 0]))
     path = np.sum(chords + (2.0 * share) ** 3 / 12.0 * widest[:, 2:4, 0], axis=0)
-    path[1] += _sizes(motion.blows(0.0))[0, 0]
-    return Between(
+    path[1] += _sizes(blows_at(0.0))[0, 0]
+    return all(map(_are_known, rows.values())), Between(
         rows=np.concatenate(values),
-        ends=np.array([[index[node] for node in _ends(*piece)] for piece in pieces]),
+        ends=np.array([[index[node] for node in pair] for pair in nodes]),
         states=np.arange(size + 1) + 4 * len(rows),
-        half=half,
-        remainder=remainder,
+        half=np.array([0.5 * (end - start) for start, end, _ in pieces]) * RAISED,
+        remainder=np.array(remainder),
         blows=np.moveaxis(blows[:, [0, 2]], 1, 0),
         blow_half=share,
         blow_remainder=widest[:, 4].sum(axis=0) * RAISED,
         path=(float(path[0]) * RAISED, float(path[1]) * RAISED),
     )
+
+
+def _derivatives(row: "arb_mat", matrix: "arb_mat") -> "arb_mat":
+    """A row, and its derivatives by time up to the fifth, which exp(matrix time) follows."""
+    rows = [row]
+    while len(rows) < 6:
+        rows.append(rows[-1] * matrix)
+    return flint.arb_mat([each.entries() for each in rows])
 
 
 def _over(start: float, end: float) -> "arb":
