@@ -214,8 +214,7 @@ def test_check_of_a_scene_tells_how_far_its_encoder_drives_it() -> None:
         velocity=Velocity.difference(samples=20),
     )
     expected = loop.amplitude(1000.0, 10.0, encoder=1e-5)
-    soft = answer.walls["soft"].chatter
-    assert soft is not None
+    soft = answer.walls["soft"]
     assert soft.chatter_at_most == float(expected.position)
     assert soft.force_per_count == pytest.approx((1000.0 + 10.0 / 0.02) * 1e-5, rel=1e-12)
     chatter = [line for line in str(answer).splitlines() if "chatter" in line]

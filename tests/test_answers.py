@@ -465,7 +465,7 @@ def test_what_check_does_not_print_is_not_computed() -> None:
     whole = check_walls(Scene.from_table(table))
     assert short.in_short() == whole.in_short()
     (wall,) = short.walls.values()
-    for name in ("distance", "radius", "oscillation", "jitter"):
+    for name in ("distance_to_boundary", "spectral_radius", "damping_ratio", "extra_delay_moving"):
         assert getattr(wall, name) is None
         assert getattr(whole.walls["a"], name) is not None
 

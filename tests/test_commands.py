@@ -448,6 +448,8 @@ def test_31_26_many_angles_are_divided(monkeypatch: pytest.MonkeyPatch) -> None:
             for name in ("limits", "study", "guard", "tune")
             for option in ("--push", "--speed", "--friction")
         ),
+        ("guard", ("--wall", "a", "1", "1"), "limits, check, contact, tune, design, study"),
+        ("guard", ("--gains", "1", "1"), "limits, check, contact, tune, design, study, joints"),
         ("guard", ("--json",), "limits, check, contact, tune, design, joints, region"),
         ("guard", ("--csv", "-"), "limits, check, contact, tune, design, study, joints"),
     ],

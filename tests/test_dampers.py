@@ -106,11 +106,12 @@ def test_a_damper_has_no_measures_of_a_position_that_nothing_holds() -> None:
     assert wall.verdict == WORDS
     assert wall.measures_are is not None
     assert wall.measures_are.startswith("left out: nothing holds the position")
-    assert wall.margins is wall.radius is wall.settling is wall.jitter is None
+    assert wall.stiffness_gain is wall.spectral_radius is wall.extra_delay_moving is None
+    assert wall.settling_status is None
     held = table | {"hand": {"stiffness": 50.0}}
     wall = check_walls(Scene.from_table(held)).walls["damper"]
     assert wall.verdict == Verdict.STABLE
-    assert wall.settling is not None
+    assert wall.settling_status is not None
 
 
 @pytest.mark.parametrize(

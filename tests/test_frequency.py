@@ -399,7 +399,7 @@ def test_check_prints_all_margins_on_request_for_the_worst_hand() -> None:
     hand = {"mass": [0.0, 0.5], "stiffness": [0.0, 100.0], "damping": [0.0, 1.0]}
     table = SOFT | {"hand": hand, "wanted": {"frequency": True, "measures": ["frequency"]}}
     (wall,) = check_walls(Scene.from_table(table)).walls.values()
-    found = wall.frequency
+    found = wall.margins_over_frequency
     assert found is not None
     assert wall.measures_are == "the worst of 8 hands"
     every = [

@@ -103,11 +103,12 @@ def test_check_draws_how_far_each_gain_may_go_alone_and_the_responses() -> None:
     (label,) = {patch.get_label() for patch in plane.patches} - {"stable"}
     assert label == "stable for the hands at all corners of the range"
     crosses = [line.get_xydata() for line in plane.get_lines() if line.get_marker() in "|_"]
-    margins = checked.walls["soft"].margins
-    assert margins is not None
+    wall = checked.walls["soft"]
+    assert wall.stiffness_limits is not None
+    assert wall.damping_limits is not None
     along, across = (np.asarray(cross) for cross in crosses)  # of the stable wall alone
-    np.testing.assert_allclose(along, [(k, 5.0) for k in margins.stiffness_limits])
-    np.testing.assert_allclose(across, [(500.0, b) for b in margins.damping_limits])
+    np.testing.assert_allclose(along, [(k, 5.0) for k in wall.stiffness_limits])
+    np.testing.assert_allclose(across, [(500.0, b) for b in wall.damping_limits])
     assert len(responses.get_lines()) == 2
 
 

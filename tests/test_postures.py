@@ -135,7 +135,7 @@ def test_a_guard_and_an_atlas_are_of_the_masses(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(jaxstab.scene.exports, "build_guard", build)
     scene = Scene.from_table(table())
     with pytest.raises(NotImplementedError):
-        jaxstab.scene.exports.scene_guard(scene)
+        jaxstab.scene.exports.scene_guard(scene, lost=0, progress=print, cells=(1, 1, 1))
     assert given["mass"] == MASSES
     assert ranges_of(scene)[0] == MASSES
     nodes = atlas_spec(scene).gamma

@@ -331,12 +331,14 @@ def test_issue_31_31_a_scheduler_that_is_no_address_is_named() -> None:
         (["check", "--wall", "1000"], "NAME K B"),
         (["design", "--wall", "1000"], "NAME K B"),
         (["limits", "--gains", "40"], "K B"),
+        (["limits", "--gains", "40", "soft"], "K B"),
+        (["design", "--wall", "40", "2", "--for", "mass"], "NAME K B"),
     ],
 )
-def test_an_option_with_too_few_values_names_them(given: list[str], names: str) -> None:
+def test_an_option_with_too_few_values_or_bad_ones_names_them(given: list[str], names: str) -> None:
     done = run(*given)
     assert done.exit_code == 2
-    assert done.stderr.endswith(f" They are {names}.\n")
+    assert done.stderr.endswith(f" Its values are {names}.\n")
 
 
 def test_an_atlas_is_asked_about_a_wall_beside_those_of_a_scene(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from jaxstab.conventions import Verdict
 from jaxstab.guard import build as guards
 from jaxstab.pictures.scene import scene_figure
 from jaxstab.scene import Scene, check_walls, loop_of, scene_limits, tune_walls
-from jaxstab.scene.limits import LimitsOverDelays
+from jaxstab.scene.limits import Limits
 from jaxstab.scene.loops import corner_loops, with_tolerances
 
 T = 1e-3
@@ -50,9 +50,9 @@ def answered(*arguments: str | Path, code: int = 0) -> Any:
     return json.loads(result.stdout)
 
 
-def limits_of(table: dict[str, Any]) -> LimitsOverDelays:
+def limits_of(table: dict[str, Any]) -> Limits:
     answer = scene_limits(Scene.from_table(table))
-    assert isinstance(answer, LimitsOverDelays)
+    assert isinstance(answer, Limits)
     return answer
 
 
@@ -349,9 +349,8 @@ def test_the_extra_delay_of_a_moving_one_is_beyond_its_range() -> None:
     table = scene(delay=[0.0, 0.5e-3], lost_samples=1)
     table["walls"] = {"a": {"stiffness": 2000.0, "damping": 15.0}}
     (wall,) = check_walls(Scene.from_table(table)).walls.values()
-    assert wall.jitter is not None
-    assert wall.jitter.moving_is == "beyond the range"
-    extra, loop = wall.jitter.extra_delay_moving, loop_of(Scene.from_table(scene()))
+    assert wall.moving_is == "beyond the range"
+    extra, loop = wall.extra_delay_moving, loop_of(Scene.from_table(scene()))
     alone = loop.jitter_margin(2000.0, 15.0)
     assert extra == pytest.approx(float(alone) - 0.5e-3 - T, rel=1e-9)
     assert 0.0 < extra < float(alone) - 0.5e-3 - T  # rounded down
@@ -462,13 +461,11 @@ def test_the_extra_delay_of_a_moving_one_is_proved_for_every_hand(
 ) -> None:
     scene_ = Scene.from_table(table)
     (wall,) = check_walls(scene_).walls.values()
-    assert wall.margins is not None
-    assert wall.jitter is not None
-    assert wall.jitter.moving_is == "proved for every hand"
-    extra, period = wall.jitter.extra_delay_moving, scene_.controller.sample_time
-    assert wall.margins.extra_delay == pytest.approx(constant, rel=1e-3)
+    assert wall.moving_is == "proved for every hand"
+    extra, period = wall.extra_delay_moving, scene_.controller.sample_time
+    assert wall.extra_delay == pytest.approx(constant, rel=1e-3)
     assert light_radius(table, estimator, 2) < 1.0 < light_radius(table, estimator, unstable)
-    assert extra <= wall.margins.extra_delay < (unstable - 2) * period
+    assert extra <= wall.extra_delay < (unstable - 2) * period
     gains = tuple(table["walls"]["a"].values())
     each = [float(loop.jitter_margin(*gains)) for loop in corner_loops(scene_)]
     assert 0.95 * min(each) < extra <= min(each)
@@ -477,8 +474,7 @@ def test_the_extra_delay_of_a_moving_one_is_proved_for_every_hand(
 @pytest.mark.campaign
 def test_no_sequence_within_the_margin_of_every_hand_makes_one_grow() -> None:
     (wall,) = check_walls(Scene.from_table(TURNING)).walls.values()
-    assert wall.jitter is not None
-    parts, rng = int(8e3 * wall.jitter.extra_delay_moving), np.random.default_rng(8)
+    parts, rng = int(8e3 * wall.extra_delay_moving), np.random.default_rng(8)
     assert parts == 9  # eighths of a sample
     turns = np.where(rng.random((20, 12)) < 0.5, 16, 16 + parts)
     turns[10:] = rng.integers(16, 17 + parts, (10, 12))
@@ -507,10 +503,9 @@ def test_a_constant_delay_that_is_not_known_may_begin_to_move() -> None:
     table = scene(delay=[0.0, 0.5e-3], delay_is="constant")
     table["walls"] = {"a": {"stiffness": 2000.0, "damping": 15.0}}
     (wall,) = check_walls(Scene.from_table(table)).walls.values()
-    assert wall.jitter is not None
-    assert wall.jitter.moving_is == "beyond the range"
+    assert wall.moving_is == "beyond the range"
     loop = loop_of(Scene.from_table(scene()))
-    longest = 0.5e-3 + wall.jitter.extra_delay_moving
+    longest = 0.5e-3 + wall.extra_delay_moving
     assert loop.verdict(2000.0, 15.0, delays=(0.0, longest)) == Verdict.STABLE
 
 
@@ -608,10 +603,8 @@ def test_measures_with_hands_are_the_worst_of_hands_and_delays() -> None:
     table["hand"] = {"mass": [0.0, 0.1]}
     table["walls"] = {"a": {"stiffness": 2000.0, "damping": 15.0}}
     (wall,) = check_walls(Scene.from_table(table)).walls.values()
-    assert wall.margins is not None
     assert wall.measures_are == "the worst of 4 hands and constant delays, no sample lost"
-    assert wall.jitter is not None
-    assert wall.jitter.moving_is == "beyond the range, proved for every hand"
+    assert wall.moving_is == "beyond the range, proved for every hand"
     each = [
         HapticLoop(
             device_mass=0.1, device_damping=0.05, hand_mass=hand, sample_time=T, delay=delay
@@ -619,7 +612,7 @@ def test_measures_with_hands_are_the_worst_of_hands_and_delays() -> None:
         for hand, delay in product((0.0, 0.1), (0.0, T))
     ]
     least = min(float(margins.stiffness_gain) for margins in each)
-    assert wall.margins.stiffness_gain == pytest.approx(least, rel=1e-9)
+    assert wall.stiffness_gain == pytest.approx(least, rel=1e-9)
 
 
 def test_ranges_of_delays_are_rows_of_a_table(tmp_path: Path) -> None:

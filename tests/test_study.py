@@ -846,9 +846,9 @@ def test_the_command_computes_parts_and_merges_them(desk: Path) -> None:
         (["--over", "device.mass=1:2:1"], "with a COUNT from 2 to 100000"),
         (["--over", "device.mass=1,2", "--over", "device.mass=1,2"], "device.mass is given twice"),
         (["--over", "device.mass=1,2", "--part", "3of2"], "'3of2' is no part; give NUMBER/COUNT"),
-        (["--over", "device.mass=1,2", "--merge"], "--merge is given beside --over"),
+        (["--over", "device.mass=1,2", "--merge"], "--over is given beside --merge"),
         *(
-            (["--merge", *ignored], f"--merge is given beside {ignored[0]}, but nothing is")
+            (["--merge", *ignored], f"{ignored[0]} is given beside --merge, but nothing is")
             for ignored in (
                 ["--part", "1/2"],
                 ["--samples", "3"],

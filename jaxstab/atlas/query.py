@@ -220,7 +220,7 @@ class Atlas:
     def _repr_html_(self) -> str:
         from jaxstab.pictures.style import html_of
 
-        return html_of(self, self.plot, (5.0, 3.5))
+        return html_of(self, self.plot)
 
     def plot(
         self,

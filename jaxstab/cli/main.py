@@ -88,24 +88,19 @@ class OneSentence(click.Group):
             raise _NoReader from error
 
     def _missing(self, error: click.ClickException) -> str:
-        """The values of an option that has too few, or who has one that this command lacks."""
+        """The values of an option that has bad ones, or who has one that this command lacks."""
+        parameter = getattr(error, "param", None)
+        name = parameter.opts[0] if parameter else getattr(error, "option_name", "")
+        users = {
+            command: option
+            for command, own in self.commands.items()
+            for option in own.get_params(click.Context(own))
+            if name in option.opts
+        }
         if isinstance(error, click.NoSuchOption):
-            users = [
-                name
-                for name, command in self.commands.items()
-                if any(
-                    error.option_name in x.opts for x in command.get_params(click.Context(command))
-                )
-            ]
             return f" It is an option of {', '.join(users)}." if users else ""
-        if not isinstance(error, click.BadOptionUsage):
-            return ""
-        for command in self.commands.values():
-            for option in command.params:
-                takes = f"requires {option.nargs} arguments"
-                if error.option_name in option.opts and takes in error.message:
-                    return f" They are {option.metavar}."
-        return ""
+        several = (option.metavar for option in users.values() if option.nargs > 1)
+        return "".join(f" Its values are {metavar}." for metavar in [*several][:1])
 
 
 class _NoReader(Exception):
@@ -148,23 +143,18 @@ def _drop(stream: Any) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
-@click.group(cls=OneSentence)
+_COMMANDS = (
+    *(limits, check, contact, tune, design, study),
+    *(joints, scene, identify, explore, guard, region, figure),
+)
+
+
+@click.group(cls=OneSentence, commands=_COMMANDS)
 @click.version_option(jaxstab.__version__, prog_name="jaxstab")
 def main() -> None:
     """Stability of haptic rendering loops."""
 
 
-for _command in (
-    *(limits, check, contact, tune, design, study),
-    *(joints, scene, identify, explore, guard, region, figure),
-):
-    main.add_command(_command)
-
-
-@main.group()
+@main.group(commands=(spec, build, info, verify, query, plot))
 def atlas() -> None:
     """Build, inspect, verify, query and plot atlases: limits and fields at nodes, in one file."""
-
-
-for _command in (spec, build, info, verify, query, plot):
-    atlas.add_command(_command)

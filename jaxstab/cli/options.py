@@ -55,28 +55,30 @@ def key_values(_: click.Context, option: click.Parameter, texts: tuple[str, ...]
     return given
 
 
-def file_in(*endings: str) -> Callable[..., Path | None]:
-    """Return the check of the name of a file that may be written, with one of some endings."""
-    words = f"ends in neither {' nor '.join(endings)}"
-    words = words if len(endings) > 1 else f"does not end in {endings[0]}"
-
-    def check(context: click.Context, option: click.Parameter, path: Path | None) -> Path | None:
-        if path is not None and path.suffix not in endings:
-            raise click.BadParameter(f"{path} {words}.", param=option)
-        return output_file(context, option, path)
-
-    return check
+def refuse(given: Mapping[str, Any], words: str) -> None:
+    """Refuse the first of some options that is given, in words that follow its name."""
+    for name, value in given.items():
+        if value is not None and value is not False and value not in ((), {}):
+            raise click.UsageError(f"--{name.replace('_', '-')} {words}")
 
 
-picture_file = file_in(".png", ".svg")
+PICTURES = ".png", ".svg"
 
 
-def output_file(context: click.Context, option: click.Parameter, path: Path | None) -> Path | None:
+def _output_file(
+    endings: tuple[str, ...], context: click.Context, option: click.Parameter, path: Path | None
+) -> Path | None:
     """Return the name of a file that may be written, in a folder that exists; "-" is stdout.
 
     Until the command ends, it may not be read.
     """
-    if path is None or str(path) == "-":
+    if path is None:
+        return path
+    if endings and path.suffix not in endings:
+        words = f"ends in neither {' nor '.join(endings)}"
+        words = words if len(endings) > 1 else f"does not end in {endings[0]}"
+        raise click.BadParameter(f"{path} {words}.", param=option)
+    if str(path) == "-":
         return path
     try:
         folder = target_of(path)[0].parent
@@ -96,14 +98,16 @@ def output_file(context: click.Context, option: click.Parameter, path: Path | No
     return path
 
 
-def file_option(*names: str, check: Any = output_file, **more: Any) -> Callable[[Command], Command]:
+def file_option(
+    *names: str, endings: tuple[str, ...] = (), **more: Any
+) -> Callable[[Command], Command]:
     """Return the option of a file to write, whose name is checked before anything is computed."""
-    return click.option(*names, type=Path, callback=check, **more)
+    return click.option(*names, type=Path, callback=partial(_output_file, endings), **more)
 
 
 def plot_option(words: str) -> Callable[[Command], Command]:
     """Return the option of a file to draw a picture into."""
-    return file_option("--plot", check=picture_file, help=words)
+    return file_option("--plot", endings=PICTURES, help=words)
 
 
 def write_beside(data: bytes, path: Path) -> None:
@@ -179,7 +183,7 @@ def together(*decorations: Any) -> Callable[[Callable[..., Any]], Callable[..., 
     return decorate
 
 
-# Where tiles and blocks are computed, which ``executor_of`` and ``computing`` read.
+# Where tiles and blocks are computed, which ``workers_in`` and ``computing`` read.
 executor_options = together(
     click.option("--workers", type=click.IntRange(1), help="Number of processes to use here."),
     click.option(
@@ -192,21 +196,12 @@ executor_options = together(
 
 
 @contextmanager
-def executor_of(given: Mapping[str, Any]) -> Iterator[Executor | None]:
-    """Open processes, or the workers of a dask scheduler; None computes in this process."""
-    from jaxstab.atlas.build import workers_of
-
-    with _opened(given) as (pool, client):
-        yield workers_of(client) if client else pool
-
-
-@contextmanager
 def computing(given: Mapping[str, Any]) -> Iterator[None]:
     """Let dask compute where options say, and draw a bar on a terminal."""
     from dask import config
     from dask.callbacks import Callback
 
-    with _opened(given) as (pool, _), at_work("computing") as show:
+    with workers_in(given) as (pool, _), at_work("computing") as show:
 
         def count(_: Any, __: Any, ___: Any, state: Any, ____: Any) -> None:
             done, left = len(state["finished"]), ("waiting", "ready", "running")
@@ -219,7 +214,7 @@ def computing(given: Mapping[str, Any]) -> Iterator[None]:
 
 
 @contextmanager
-def _opened(given: Mapping[str, Any]) -> Iterator[tuple[Executor | None, Any]]:
+def workers_in(given: Mapping[str, Any]) -> Iterator[tuple[Executor | None, Any]]:
     """Processes, or the client of a dask scheduler, where options or the environment say so."""
     from jaxstab.cli.interrupt import processes
 

@@ -3,7 +3,6 @@
 import json
 import shlex
 import sys
-from collections.abc import Iterable
 from decimal import ROUND_FLOOR, ROUND_HALF_EVEN
 from math import isfinite
 from pathlib import Path
@@ -13,20 +12,20 @@ import click
 
 import jaxstab
 from jaxstab.cli.options import (
+    PICTURES,
     at_work,
     draw,
-    executor_of,
     executor_options,
-    file_in,
     file_option,
     keep_programs,
-    picture_file,
     print_with_csv,
+    refuse,
     together,
+    workers_in,
 )
-from jaxstab.cli.scene import SceneCommand, scene_of, wall_option, warn
+from jaxstab.cli.scene import scene_command, scene_of, wall_option, warn
 from jaxstab.conventions import AXES, Verdict
-from jaxstab.shown import table_text
+from jaxstab.shown import number_text, table_text
 from jaxstab.tables import columns_of
 
 if TYPE_CHECKING:
@@ -43,17 +42,17 @@ def build(spec: Path | None, output: Path, **where: Any) -> None:
     The file appears when it is whole. Ctrl-C ends the build at once and leaves nothing.
     """
     from jaxstab.atlas import AtlasSpec
-    from jaxstab.atlas.build import write_atlas
+    from jaxstab.atlas.build import workers_of, write_atlas
     from jaxstab.atlas.spec import HAPTIC
 
     keep_programs()
     chosen = AtlasSpec.from_file(spec) if spec else HAPTIC
-    with at_work(f"building {output}") as show, executor_of(where) as executor:
-        write_atlas(chosen, output, show, executor)
+    with at_work(f"building {output}") as show, workers_in(where) as (pool, client):
+        write_atlas(chosen, output, show, workers_of(client) if client else pool)
     click.echo(_described(jaxstab.open_atlas(output), output))
 
 
-@click.command(cls=SceneCommand, describes=False, wanted=["mass_tolerance", "delay_tolerance"])
+@scene_command("mass_tolerance", "delay_tolerance", describes=False)
 @click.option("--scene", "file", type=Path, required=True, help="TOML file of the scene.")
 def spec(file: Path, **tolerances: float | None) -> None:
     """Print the specification of an atlas for the device, hands and delays of a scene.
@@ -153,32 +152,24 @@ def query(
     if wall and scene_file is None:
         raise click.UsageError("--wall is given without a scene; give --scene FILE.")
     if scene_file is not None:
-        for name, value in (given | {"csv": table}).items():
-            if value is not None:
-                raise click.UsageError(
-                    f"--{name} is given beside --scene, which has it; give one of them."
-                )
-        opened = jaxstab.open_atlas(file)
+        words = "is given beside --scene, which has it; give one of them."
+        refuse(given | {"csv": table}, words)
         from jaxstab.scene.exports import ask_atlas
 
-        stated, found = ask_atlas(scene_of({"files": [scene_file], "wall": wall}), opened)
-        _write(found, form, stated)
-        return 0 if all(row["verdict"] == "stable" for row in found) else 1
-    if table:
-        points = _points_in(table, given)
+        opened, scene = jaxstab.open_atlas(file), scene_of({"files": [scene_file], "wall": wall})
+        stated, rows = ask_atlas(scene, opened)
     else:
-        _check_complete(given, "give it as an option, or points with --csv")
-        points = {name: [given[name]] for name in AXES}
-    opened = jaxstab.open_atlas(file)
-    answer = opened.query(**points)
-    stated = {"inputs": _made_of(opened), "units": dict.fromkeys(AXES, "1")}
-    _write(_answered(points, answer), form, stated)
-    return 0 if (answer.verdict == Verdict.STABLE).all() else 1
+        points = _points(table, given)
+        opened = jaxstab.open_atlas(file)
+        rows = _answered(points, opened.query(**points))
+        stated = {"inputs": _made_of(opened), "units": dict.fromkeys(AXES, "1")}
+    _write(rows, form, stated)
+    return 0 if all(row["verdict"] == "stable" for row in rows) else 1
 
 
 @click.command()
 @click.argument("file", type=Path)
-@file_option("-o", "--output", check=file_in(".png"), required=True, help="PNG file to write.")
+@file_option("-o", "--output", endings=(".png",), required=True, help="PNG file to write.")
 @click.option("--gamma", type=float, help="Physical stiffness; default: the smallest.")
 @click.option("--delta", type=float, help="Physical damping; default: the smallest.")
 @click.option(
@@ -197,31 +188,28 @@ def plot(
     click.echo(output)
 
 
-def _points_in(table: Path, given: dict[str, float]) -> dict[str, list[float]]:
+def _points(table: Path | None, given: dict[str, float]) -> dict[str, list[float]]:
     """Return the points of a CSV file, with an option's value for a column that it lacks."""
-    columns = columns_of(table, (), AXES)
-    both = sorted(columns.keys() & given.keys())
-    if both:
-        raise ValueError(f"{both[0]} is a column of the file and an option; give one of them.")
-    _check_complete(columns.keys() | given.keys(), "give it as a column of the file, or an option")
+    columns = columns_of(table, (), AXES) if table else {}
+    for name in AXES:
+        if name in columns and name in given:
+            raise ValueError(f"{name} is a column of the file and an option; give one of them.")
+        if name not in columns and name not in given:
+            own = "as a column of the file, or an option"
+            remedy = own if table else "as an option, or points with --csv"
+            raise ValueError(f"{name} is missing; give it {remedy}.")
     count = max(map(len, columns.values()), default=1)
     return {name: columns[name] if name in columns else [given[name]] * count for name in AXES}
-
-
-def _check_complete(names: Iterable[str], remedy: str) -> None:
-    missing = [name for name in AXES if name not in names]
-    if missing:
-        raise ValueError(f"{missing[0]} is missing; {remedy}.")
 
 
 def _answered(points: dict[str, list[float]], answer: "AtlasAnswer") -> list[dict[str, Any]]:
     """A row of words and numbers for each point."""
     from jaxstab.atlas import QueryStatus
 
-    verdicts = [Verdict(code).name.lower() for code in answer.verdict.tolist()]
-    statuses = [QueryStatus(code).name.lower() for code in answer.status.tolist()]
-    rows = zip(*points.values(), verdicts, statuses, strict=True)
-    return [dict(zip((*AXES, "verdict", "status"), row, strict=True)) for row in rows]
+    columns = dict[str, list[Any]](points)
+    columns["verdict"] = [Verdict(code).name.lower() for code in answer.verdict.tolist()]
+    columns["status"] = [QueryStatus(code).name.lower() for code in answer.status.tolist()]
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
 def _made_of(opened: "Atlas") -> dict[str, str]:
@@ -277,7 +265,7 @@ def figure(number: str, output: Path, form: str) -> None:
 @click.option(
     "--radius", type=float, default=1.0, show_default=True, help="Largest modulus of all roots."
 )
-@file_option("-o", "--output", check=picture_file, help="PNG or SVG file for a picture.")
+@file_option("-o", "--output", endings=PICTURES, help="PNG or SVG file for a picture.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def region(
     gamma: float, delta: float, delay: float, radius: float, output: Path | None, as_json: bool
@@ -306,10 +294,8 @@ def region(
 def _fact(name: str, value: Any) -> str:
     """A number, a point or a list of points; the largest values are not rounded up."""
     from jaxstab.paper.facts import DIGITS
-    from jaxstab.scene.answers import Quantity
 
     if isinstance(value, list):
         return f"({', '.join(_fact(name, entry) for entry in value)})"
-    is_largest = name.startswith("largest")
-    quantity = Quantity("", DIGITS, ROUND_FLOOR if is_largest else ROUND_HALF_EVEN)
-    return quantity.words(value) if isinstance(value, float) else "none"
+    way = ROUND_FLOOR if name.startswith("largest") else ROUND_HALF_EVEN
+    return number_text(value, DIGITS, way) if isinstance(value, float) else "none"

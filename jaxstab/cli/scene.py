@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import Field, fields
 from functools import cache, partial
 from math import inf
@@ -17,12 +17,12 @@ from jaxstab.cli.options import (
     computing,
     draw,
     executor_options,
-    file_in,
     file_option,
     keep_programs,
     key_values,
     plot_option,
     print_with_csv,
+    refuse,
     require_one_stdout,
     split,
     together,
@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 
 
 @cache
-def _keys() -> dict[str, tuple[str, Field[Any]]]:
-    """The keys of a scene that are options, by the names of these: the section and the field."""
+def _keys() -> dict[str, tuple[tuple[str, ...], Field[Any]]]:
+    """The keys of a scene that are options, by the names of these: the path and the field."""
     from jaxstab.scene.scene import INNER, TABLES
 
     names = {
@@ -46,47 +46,40 @@ def _keys() -> dict[str, tuple[str, Field[Any]]]:
         ("velocity", "preset"): "estimator",
         ("controller", "delay_is"): "constant_delay",
     }
-    return {
-        names.get((section, entry.name)) or f"{'hand_' * (section == 'hand')}{entry.name}": (
-            section,
-            entry,
-        )
-        for section, table in {**TABLES, "velocity": INNER["velocity"]}.items()
-        for entry in fields(table)
-        if entry.metadata["words"]
-    }
+    velocity = ("controller", "velocity"), INNER["velocity"]
+    keys = dict[str, tuple[tuple[str, ...], Field[Any]]]()
+    for path, table in (*(((name,), table) for name, table in TABLES.items()), velocity):
+        for entry in fields(table):
+            name = "hand_" * (path[-1] == "hand") + entry.name
+            if entry.metadata["words"]:
+                keys[names.get((path[-1], entry.name), name)] = (*path, entry.name), entry
+    return keys
 
 
-class SceneCommand(click.Command):
+def scene_command(
+    *wanted: str, describes: bool = True, simulates: bool = False
+) -> Callable[[Callable[..., Any]], click.Command]:
     """A command with the keys of a scene as options; of [wanted] some, of a contact if it has one.
 
     They are made when it is called: jaxstab --help and other commands do not import scenes.
+    ``describes`` tells whether other keys than those of [wanted] are options, too.
     """
 
-    def __init__(
-        self,
-        *given: Any,
-        wanted: Sequence[str] = (),
-        describes: bool = True,
-        simulates: bool = False,
-        **options: Any,
-    ) -> None:
-        """Take the keys of [wanted], and whether the others, and those of contacts, are options."""
-        super().__init__(*given, **options)
-        self.wanted, self.describes, self.simulates = wanted, describes, simulates
+    class SceneCommand(click.Command):
+        def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+            """Return arguments and options."""
+            made = [
+                _option(name, entry, is_velocity="velocity" in path)
+                for name, (path, entry) in _keys().items()
+                if (name in wanted if path[0] == "wanted" else describes)
+                and (simulates or not (path[0] == "contact" or name == "friction"))
+            ]
+            return [*made, *super().get_params(ctx)]
 
-    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        """Return arguments and options."""
-        made = [
-            _option(name, section, entry)
-            for name, (section, entry) in _keys().items()
-            if (name in self.wanted if section == "wanted" else self.describes)
-            and (self.simulates or not (section == "contact" or name == "friction"))
-        ]
-        return [*made, *super().get_params(ctx)]
+    return click.command(cls=SceneCommand)
 
 
-def _option(name: str, section: str, entry: Field[Any]) -> click.Option:
+def _option(name: str, entry: Field[Any], *, is_velocity: bool) -> click.Option:
     """Return the option of a key: its kind is that of the field, its unit that of the check."""
     from jaxstab.scene.scene import Units
     from jaxstab.tables import unit_of
@@ -94,7 +87,7 @@ def _option(name: str, section: str, entry: Field[Any]) -> click.Option:
     kind = get_args(entry.type)[0] if isinstance(entry.type, UnionType) else entry.type
     reads: dict[str, Any] = {"type": kind}
     words, unit = entry.metadata["words"], unit_of(entry)
-    words = f"velocity: {words}" if section == "velocity" else words
+    words = f"velocity: {words}" if is_velocity else words
     if unit != "1":
         turning = Units.ROTATION.unit(unit)
         words += f" in {unit}" + (f" ({turning})" if turning != unit and unit != "kg" else "")
@@ -117,20 +110,12 @@ wall_option = click.option(
 )
 
 
-# What describes a scene beside the options of a SceneCommand, which go before the files.
-mechanics_options = together(
+# What describes a loop beside the options of a ``scene_command``, which go before the files.
+loop_options = together(
     click.argument("files", type=Path, nargs=-1, metavar="[FILE]..."),
-    wall_option,
-    click.option(
-        "--gains",
-        type=(float, float),
-        metavar="K B",
-        help="One wall in place of the scene's: N/m and N s/m (kp and kd: N m/rad and N m s/rad).",
-    ),
     click.option("--rate", type=float, help="Sampling rate in Hz, in place of the sample time."),
     click.option(
         "--set",
-        "lines",
         multiple=True,
         callback=key_values,
         metavar="KEY=VALUE",
@@ -138,9 +123,22 @@ mechanics_options = together(
     ),
 )
 
+# The same, and its walls.
+mechanics_options = together(
+    wall_option,
+    click.option(
+        "--gains",
+        type=(float, float),
+        metavar="K B",
+        help="One wall in place of the scene's: N/m and N s/m (kp and kd: N m/rad and N m s/rad).",
+    ),
+    loop_options,
+)
+
 # The same of several, and the form of the answer.
 scene_options = together(
     mechanics_options,
+    plot_option("PNG or SVG file to draw the scene into."),
     file_option(
         "--csv",
         "csv_file",
@@ -155,7 +153,7 @@ def tables_of(given: dict[str, Any]) -> dict[str, dict[str, Any]]:
     from jaxstab.tables import read_table
 
     files = given.get("files") or ()
-    describing = "device", "mass", "inertia", "damping", "sample_time", "wall", "gains", "lines"
+    describing = "device", "mass", "inertia", "damping", "sample_time", "wall", "gains", "set"
     if not files and all(value in (None, (), {}) for value in map(given.get, describing)):
         raise click.UsageError(
             "no scene is given; give the FILE of one (jaxstab scene init -o scene.toml writes an "
@@ -165,10 +163,12 @@ def tables_of(given: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return {source: _merged(table, given) for source, table in tables.items()}
 
 
-def scene_of(given: dict[str, Any]) -> "Scene":
-    """Return the checked scene of one file and options."""
+def scene_of(given: dict[str, Any], what: str = "") -> "Scene":
+    """Return the checked scene of one file and options, for ``what`` there may be one alone."""
     from jaxstab.scene import Scene
 
+    if len(given.get("files", ())) > 1:
+        raise click.UsageError(f"{what} is for one scene; give one FILE.")
     ((source, table),) = tables_of(given).items()
     return Scene.from_table(table, source)
 
@@ -191,50 +191,45 @@ def sentence_of(error: OSError) -> str:
 def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
     from jaxstab.tables import value_of, with_value
 
-    chosen: dict[str, dict[str, Any]] = {}
-    entries = _keys()
-    for option, (section, entry) in entries.items():
-        if given.get(option) is not None:
-            chosen.setdefault(section, {})[entry.name] = given[option]
-    if "velocity" in chosen:  # in place of all that the file says
-        chosen.setdefault("controller", {})["velocity"] = chosen.pop("velocity")
+    keys, velocity, period = _keys(), ("controller", "velocity"), ("controller", "sample_time")
+    chosen = {path: given.get(option) for option, (path, _) in keys.items()}
+    chosen = {path: value for path, value in chosen.items() if value is not None}
+    options = {".".join(path): option for option, (path, _) in keys.items() if path in chosen}
     rate = given.get("rate")
     if rate is not None:
         if not 0.0 < rate < inf:
             raise click.UsageError(f"--rate is {rate:g}; give a finite number > 0 in Hz.")
-        if "sample_time" in chosen.get("controller", {}):
+        if period in chosen:
             raise click.UsageError(f"--rate is {rate:g} beside --sample-time; give one of them.")
-        chosen.setdefault("controller", {})["sample_time"] = 1.0 / rate
-    named = [*given.get("wall", ())]
+        chosen[period], options[".".join(period)] = 1.0 / rate, "rate"
+    walls = [*given.get("wall", ())]
     if given.get("gains"):
         table = {name: own for name, own in table.items() if name != "walls"}
-        named.append(("gains", *given["gains"]))
-    for name, stiffness, damping in named:
-        walls = chosen.setdefault("walls", {})
-        if name in walls:
+        walls.append(("gains", *given["gains"]))
+    for name, stiffness, damping in walls:
+        if ("walls", name) in chosen:
             raise ValueError(f"wall {name} is given twice; give each wall another name.")
-        walls[name] = {"stiffness": stiffness, "damping": damping}
-    merged = dict(table)
-    if any(not isinstance(merged.get(section, {}), dict) for section in chosen):
-        return merged  # which is refused
-    if {"delay", "delay_samples"} & chosen.get("controller", {}).keys():  # in either unit
-        kept, lost = merged.get("controller", {}).items(), chosen["controller"].get("lost_samples")
-        merged["controller"] = {
+        chosen["walls", name] = {"stiffness": stiffness, "damping": damping}
+    own = {path[1] for path in chosen if path[0] == "controller"}
+    if "velocity" in own:  # in place of all that the file says
+        table = with_value(table, ".".join(velocity), {}, velocity)
+    for path, value in chosen.items():
+        table = with_value(table, ".".join(path), value, path)
+    if {"delay", "delay_samples"} & own:  # in either unit
+        is_kept = "constant" if not chosen.get(("controller", "lost_samples")) else None
+        table["controller"] = {
             key: value
-            for key, value in kept
-            if "delay" not in key or (value == "constant" and not lost)
+            for key, value in table["controller"].items()
+            if key in own or "delay" not in key or value == is_kept
         }
-    merged |= {name: merged.get(name, {}) | keys for name, keys in chosen.items()}
-    options = {f"{section}.{entry.name}": option for option, (section, entry) in entries.items()}
-    for name, value in given.get("lines", {}).items():
-        option = options.get(name.removeprefix("controller.") if "velocity" in name else name, "")
-        option = "rate" if option == "sample_time" and rate is not None else option
-        if given.get(option) is not None:
+    for name, value in given.get("set", {}).items():
+        if name in options:
             raise click.UsageError(
-                f"--set {name} is given beside --{option.replace('_', '-')}; give one of them."
+                f"--set {name} is given beside --{options[name].replace('_', '-')}; give one of "
+                "them."
             )
-        merged = with_value(merged, name, value_of(value), name.split("."))
-    return merged
+        table = with_value(table, name, value_of(value), name.split("."))
+    return table
 
 
 # The answers of one scene in full, or of several in a table; CSV, JSON, and a picture.
@@ -253,11 +248,15 @@ class _Row(NamedTuple):
         """The path, value and words of each number."""
         return list(self.answer.leaves()) if self.answer else []
 
+    def as_json(self) -> dict[str, Any]:
+        """The answer, or the refusal, with the name of the scene."""
+        answer = self.answer.as_json() if self.answer else None
+        return {"scene": self.source, "answer": answer, "refusal": self.refusal or None}
+
 
 def _answer(
     given: dict[str, Any],
     name: str,
-    as_json: bool,
     shown: Callable[[Any], str] = str,
     asked: str | None = None,
     **options: Any,
@@ -267,13 +266,11 @@ def _answer(
     ``options`` are those of the function that answers about walls. ``asked`` is the quantity that
     walls are to be stable with, in place of what ``name`` answers.
     """
-    require_one_stdout(as_json, given["csv_file"])
-    for option in ("plot", "safety", "stiffness", "at_damping", "at_stiffness") if asked else ():
-        if given.get(option) is not None:
-            raise click.UsageError(
-                f"--{option.replace('_', '-')} is given, but what walls need of one quantity is "
-                "asked for; leave it out."
-            )
+    require_one_stdout(given["as_json"], given["csv_file"])
+    if asked:
+        others = ("plot", "safety", "stiffness", "at_damping", "at_stiffness")
+        words = "is given, but what walls need of one quantity is asked for; leave it out."
+        refuse({name: given.get(name) for name in others}, words)
     from jaxstab.scene import Backwards, any_scene
 
     make: Any = partial(any_scene, may_be_measured=True)
@@ -296,11 +293,14 @@ def _answer(
         one = partial(scene_figure, rows[0].scene, rows[0].answer)
         draw(one() if is_one else comparison_figure(answered), given["plot"])
     warn(*dict.fromkeys(words for row in rows if row.scene for words in row.scene.unusual()))
-    if as_json:
-        words = json.dumps(rows[0].answer.as_json() if is_one else _for_json(rows), indent=1)
+    paths = list(dict.fromkeys(path for row in rows for path, *_ in row.leaves))
+    if given["as_json"]:
+        own = rows[0].answer.as_json() if is_one else [row.as_json() for row in rows]
+        words = json.dumps(own, indent=1)
     else:
-        words = shown(rows[0].answer) if is_one else _table(rows)
-    print_with_csv(words, _csv(rows), given["csv_file"])
+        words = shown(rows[0].answer) if is_one else _table(rows, paths)
+    cells = [["scene", *paths, "refusal"], *_cells(rows, 1, paths)]
+    print_with_csv(words, cells, given["csv_file"])
     refused = [row for row in rows if row.refusal]
     if refused:
         raise click.UsageError(
@@ -344,33 +344,21 @@ def _computed(scene: Any, name: str, options: dict[str, Any]) -> Any:
         return getattr(jaxstab.scene, functions[name])(scene, **options)
 
 
-def _csv(rows: list[_Row]) -> list[list[Any]]:
-    columns = ["scene", *_paths(rows), "refusal"]
-    tables = (
-        {"scene": row.source, "refusal": row.refusal} | {path: own for path, own, _ in row.leaves}
-        for row in rows
-    )
-    return [columns, *([table.get(name, "") for name in columns] for table in tables)]
-
-
-def _for_json(rows: list[_Row]) -> list[dict[str, Any]]:
-    answers = [row.answer.as_json() if row.answer else None for row in rows]
+def _cells(rows: list[_Row], index: int, paths: list[str]) -> list[list[Any]]:
+    """The source of each scene, the values (1) or words (2) at paths, and the refusal."""
+    tables = [{leaf[0]: leaf[index] for leaf in row.leaves} for row in rows]
     return [
-        {"scene": row.source, "answer": answer, "refusal": row.refusal or None}
-        for row, answer in zip(rows, answers, strict=True)
+        [row.source, *(table.get(path, "") for path in paths), row.refusal]
+        for row, table in zip(rows, tables, strict=True)
     ]
 
 
-def _table(rows: list[_Row]) -> str:
+def _table(rows: list[_Row], paths: list[str]) -> str:
     """Return the main numbers of each scene, in columns, or the reason why it was refused."""
-    paths = [path for path in _paths(rows) if _is_main(path)]
+    paths = list(filter(_is_main, paths))
     plain = (path.removeprefix("walls.").replace("_", " ").replace(".", ": ") for path in paths)
-    lines = [["scene", *plain, ""]]
-    for row in rows:
-        words = {path: text for path, _, text in row.leaves}
-        cells = [row.source, *(words.get(path, "") for path in paths), row.refusal]
-        lines.append(list(map(printable, cells)))
-    return table_text(lines)
+    cells = _cells(rows, 2, paths)
+    return table_text([["scene", *plain, ""], *([*map(printable, row)] for row in cells)])
 
 
 def _is_main(path: str) -> bool:
@@ -391,19 +379,11 @@ def _is_main(path: str) -> bool:
     return name in {f"largest_{outer}", f"least_{outer}", *main.get(outer, ())}
 
 
-def _paths(rows: list[_Row]) -> list[str]:
-    return list(dict.fromkeys(path for row in rows for path, *_ in row.leaves))
-
-
-_plot_option = plot_option("PNG or SVG file to draw the scene into.")
-
-
-@click.command(cls=SceneCommand, wanted=["safety", "at_damping", "at_stiffness"])
+@scene_command("safety", "at_damping", "at_stiffness")
 @scene_options
-@_plot_option
 @click.option("--all", "in_full", is_flag=True, help="Print everything, as --json does.")
 @click.option("--islands", is_flag=True, help="Print stable walls not connected to zero gains too.")
-def limits(as_json: bool, in_full: bool, islands: bool, **given: Any) -> int:
+def limits(in_full: bool, islands: bool, **given: Any) -> int:
     """Give the largest stiffness that a scene allows, and the limits at each of its walls.
 
     All limits are of walls with K >= 0 and B >= 0. The exit code is 0 if there are stable walls,
@@ -412,28 +392,27 @@ def limits(as_json: bool, in_full: bool, islands: bool, **given: Any) -> int:
     """
 
     def shown(answer: Any) -> str:
-        from jaxstab.scene.limits import Limits, LimitsOverDelays, brief
+        from jaxstab.scene.limits import Limits, brief
 
-        is_short = isinstance(answer, Limits | LimitsOverDelays) and not in_full
+        is_short = isinstance(answer, Limits) and not in_full
         return brief(answer, islands=islands) if is_short else str(answer)
 
     from jaxstab.scene.backwards import known_of
 
     tables = tables_of(given).values() if given["gains"] else ()
     is_asked = tables and not any({"mass", "inertia"} & known_of(table) for table in tables)
-    return _answer(given, "limits", as_json, shown, "inertia" if is_asked else None)
+    return _answer(given, "limits", shown, "inertia" if is_asked else None)
 
 
-@click.command(cls=SceneCommand, wanted=["frequency"], simulates=True)
+@scene_command("frequency", simulates=True)
 @scene_options
-@_plot_option
 @click.option("--all", "in_full", is_flag=True, help="Print everything, as --json does.")
 @file_option(
     "--certificate",
-    check=file_in(".json"),
+    endings=(".json",),
     help="JSON file for data/check/check_wall.py, which confirms the verdicts without jaxstab.",
 )
-def check(as_json: bool, in_full: bool, certificate: Path | None, **given: Any) -> int:
+def check(in_full: bool, certificate: Path | None, **given: Any) -> int:
     """Check each wall: stable or not, its margins, how fast it settles.
 
     The exit code is 0 if every wall is proved stable, if only but for a position that nothing
@@ -442,56 +421,46 @@ def check(as_json: bool, in_full: bool, certificate: Path | None, **given: Any) 
     if certificate:
         from jaxstab.scene.exports import certificate as certified
 
-        if len(given["files"]) > 1:
-            raise click.UsageError("a certificate is of one scene; give one FILE.")
-        claims = certified(scene_of(given))
+        claims = certified(scene_of(given, "a certificate"))
         write_beside(json.dumps(claims, indent=1).encode() + b"\n", certificate)
-    is_short = not (in_full or as_json or given["csv_file"])
+    is_short = not (in_full or given["as_json"] or given["csv_file"])
     shown: Callable[[Any], str] = (lambda answer: answer.in_short()) if is_short else str
-    return _answer(given, "check", as_json, shown, in_full=not is_short)
+    return _answer(given, "check", shown, in_full=not is_short)
 
 
-@click.command(cls=SceneCommand, simulates=True)
+@scene_command(simulates=True)
 @scene_options
-@_plot_option
 @file_option(
     "-o",
     "--output",
-    check=file_in(".h5", ".nc"),
+    endings=(".h5", ".nc"),
     help="Simulate a map of walls around the stable ones into this netCDF-4 file instead.",
 )
 @click.option("--count", type=click.IntRange(2), help="Walls along each axis of it; default: 60.")
 @click.option("--frictions", help="LOW:HIGH:COUNT in N: its third axis.")
 @executor_options
-def contact(
-    as_json: bool, output: Path | None, count: int | None, frictions: str | None, **given: Any
-) -> int:
+def contact(output: Path | None, count: int | None, frictions: str | None, **given: Any) -> int:
     """Simulate how the device of a scene meets each wall: does it rest, bounce or buzz?
 
     With friction, a one-sided wall and the encoder, as the table [contact] of the scene says.
     Nothing is proved. The exit code is 0 if every simulated contact comes to rest, 1 if not.
     """
     if output is None:
-        computed_by = {name: given[name] for name in ("workers", "scheduler", "scheduler_file")}
-        for name, value in {"count": count, "frictions": frictions, **computed_by}.items():
-            if value is not None:
-                option = name.replace("_", "-")
-                raise click.UsageError(f"--{option} is for a map; give --output, too.")
-        return _answer(given, "contact", as_json)
-    if len(given["files"]) > 1:
-        raise click.UsageError("a map is for one scene; give one FILE.")
-    beside = {"plot": given["plot"], "csv": given["csv_file"], "json": as_json}
-    for name in (name for name, value in beside.items() if value):
-        raise click.UsageError(f"--{name} is given beside --output; give one of them.")
+        where = {name: given[name] for name in ("workers", "scheduler", "scheduler_file")}
+        of_maps = {"count": count, "frictions": frictions, **where}
+        refuse(of_maps, "is for a map; give --output, too.")
+        return _answer(given, "contact")
+    beside = {"plot": given["plot"], "csv": given["csv_file"], "json": given["as_json"]}
+    refuse(beside, "is given beside --output; give one of them.")
     from jaxstab.loop import ContactKind
     from jaxstab.scene.answers import delay_notes
     from jaxstab.scene.contact import map_contacts
     from jaxstab.scene.draws import listed
     from jaxstab.scene.labelled import computed, require_free, write
 
+    scene = scene_of(given, "a map")
     require_free(output)
     keep_programs()
-    scene = scene_of(given)
     warn(*scene.unusual(), *delay_notes(scene))
     forces = None if frictions is None else [*map(float, listed("friction", frictions))]
     planned = map_contacts(scene, count or 60, forces)
@@ -507,38 +476,36 @@ def contact(
     return 0
 
 
-@click.command(cls=SceneCommand, wanted=["at_stiffness", "mass_tolerance", "delay_tolerance"])
+@scene_command("at_stiffness", "mass_tolerance", "delay_tolerance")
 @scene_options
-@_plot_option
-def tune(as_json: bool, **given: Any) -> int:
+def tune(**given: Any) -> int:
     """Find the walls that come to rest fastest, and the best damping for each wall.
 
     Of a range of delays, walls are those of the longest one as a constant delay. The exit code is 0
     if every wall is found, and proved stable for all hands and delays, 1 if not.
     """
-    return _answer(given, "tune", as_json)
+    return _answer(given, "tune")
 
 
-@click.command(cls=SceneCommand, wanted=["safety", "stiffness"])
+@scene_command("safety", "stiffness")
 @scene_options
-@_plot_option
 @click.option(
     "--for",
     "asked",
     type=click.Choice(["inertia", "mass", "damping", "delay", "sample-time", "cutoff", "window"]),
     help="Find the values of this quantity with which each wall is stable, for every hand.",
 )
-def design(as_json: bool, asked: str | None, **given: Any) -> int:
+def design(asked: str | None, **given: Any) -> int:
     """Find the largest sample time, and the largest delay, for a wanted stiffness.
 
     With --for, find what a wall needs: all values of one quantity that a scan finds, each end of
     them proved. Of a range of delays it takes the longest one as a constant delay. The exit code is
     0 if all are found, 1 if not.
     """
-    for option in ("wall", "gains") if not asked else ():
-        if given[option]:
-            raise click.UsageError(f"--{option} is given without --for; give what it needs.")
-    return _answer(given, "design", as_json, asked=asked)
+    if not asked:
+        walls = {name: given[name] for name in ("wall", "gains")}
+        refuse(walls, "is given without --for; give what it needs.")
+    return _answer(given, "design", asked=asked)
 
 
 @click.group()
@@ -557,14 +524,14 @@ def scene() -> None:
 def init(output: Path | None, kind: str) -> None:
     """Write a commented example of a scene."""
     from jaxstab.durable import publish
+    from jaxstab.scene.labelled import require_free
     from jaxstab.scene.scene import folder_of
 
     text = (folder_of("scenes/gains") / f"{kind}.toml").read_text(encoding="utf-8")
     if output is None or str(output) == "-":
         click.echo(text, nl=False)
         return
-    if os.path.lexists(output):
-        raise click.UsageError(f"{output} exists; remove it, or give another name.")
+    require_free(output)
     publish(text.encode(), output)
     click.echo(output)
 
@@ -600,7 +567,7 @@ def explain(file: Path) -> None:
 @file_option(
     "-o",
     "--output",
-    check=file_in(".html", ".htm"),
+    endings=(".html", ".htm"),
     default=Path("walls.html"),
     show_default=True,
     help="HTML file to write.",
@@ -634,8 +601,8 @@ def explore(file: Path | None, output: Path) -> None:
 # The command that writes a guard for C.
 
 
-@click.command(cls=SceneCommand)
-@mechanics_options
+@scene_command()
+@loop_options
 @file_option("-o", "--output", required=True, help="Header file; its name begins all names in it.")
 @click.option(
     "--cells",
@@ -653,18 +620,19 @@ def guard(output: Path, plot: Path | None, **given: Any) -> None:
     Its walls are proved for every sequence of the delays; with --constant-delay for delays that do
     not change during contact, and the function takes the delay.
     """
-    if len(given["files"]) > 1:
-        raise click.UsageError("a guard is for one scene; give one FILE.")
     lost = given.pop("lost_samples") or 0  # beside one delay of the scene, too
-    scene = scene_of(given)
+    scene = scene_of(given, "a guard")
     warn(*scene.unusual())
     from jaxstab.durable import publish
+    from jaxstab.guard.build import plan_guard
     from jaxstab.guard.guard import checked_name
-    from jaxstab.scene.exports import guard_about, guard_plan, scene_guard
+    from jaxstab.scene.exports import cells_of, guard_about, scene_guard
+    from jaxstab.scene.loops import loops_over_delays
 
     name = checked_name(output.stem)  # before the proof, which takes long
-    cells = given["cells"] and (*given["cells"],)
-    plans = iter([guard_plan(scene, cells)])  # one, which is printed as the proof begins
+    a, b, c = given["cells"] or cells_of(scene)
+    # One, which is printed as the proof begins.
+    plans = iter([plan_guard(loops_over_delays(scene)[0], (a, b, c))])
     with at_work("proving") as show:
 
         def tell(share: float) -> None:
@@ -672,7 +640,7 @@ def guard(output: Path, plot: Path | None, **given: Any) -> None:
                 click.echo(plan, err=True)
             show(share, 1.0)
 
-        made = scene_guard(scene, lost=lost, progress=tell, cells=cells)
+        made = scene_guard(scene, lost=lost, progress=tell, cells=(a, b, c))
     about = guard_about(scene, made)
     publish(made.header(name, about, scene.units.value[:3]).encode(), output)
     if plot:
@@ -785,9 +753,7 @@ def identify(
 @click.option("--simulated", is_flag=True, help="Take the file's own step and integrator.")
 @file_option("--csv", "csv_file", help="CSV file ('-': stdout), a row for each joint.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-@file_option(
-    "--safe-gains", check=file_in(".yaml", ".yml"), help="YAML file of safe gains to write."
-)
+@file_option("--safe-gains", endings=(".yaml", ".yml"), help="YAML file of safe gains to write.")
 def joints(
     robot: Path,
     cutoff: float | None,

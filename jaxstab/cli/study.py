@@ -12,22 +12,22 @@ from jaxstab.cli.options import (
     computing,
     draw,
     executor_options,
-    file_in,
     file_option,
     keep_programs,
     key_values,
     plot_option,
     print_with_csv,
+    refuse,
     split,
 )
-from jaxstab.cli.scene import SceneCommand, mechanics_options, tables_of
+from jaxstab.cli.scene import mechanics_options, scene_command, tables_of
 from jaxstab.shown import printable, rounded_text, table_text
 
 if TYPE_CHECKING:
     from xarray import Dataset
 
 
-@click.command(cls=SceneCommand)
+@scene_command()
 @mechanics_options
 @click.option(
     "--over",
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--answer",
-    "answers",
     multiple=True,
     help="limits, verdict, margins, settling_time or spectral_radius; may be repeated. Default: "
     "limits, and verdict if there are walls.",
@@ -49,7 +48,7 @@ if TYPE_CHECKING:
 )
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the draws.")
 @file_option(
-    "-o", "--output", check=file_in(".h5", ".nc"), help="Store the table as this netCDF-4 file."
+    "-o", "--output", endings=(".h5", ".nc"), help="Store the table as this netCDF-4 file."
 )
 @file_option(
     "--csv", "csv_file", help="CSV file ('-': stdout) for the table, a row for each loop and wall."
@@ -84,23 +83,18 @@ def study(
     if output is None and (merge or part):
         raise click.UsageError("--merge and --part are given without --output; give the file.")
     if merge:
+        files = given.pop("files")
         of_studies = {"over": over, "part": part, "samples": samples, "seed": seed or None, **given}
-        for name, value in of_studies.items():
-            if name != "files" and value not in (None, (), {}):
-                option = {"lines": "set", "answers": "answer"}.get(name, name).replace("_", "-")
-                raise click.UsageError(
-                    f"--merge is given beside --{option}, but nothing is computed anew; give one "
-                    "of them."
-                )
-    if not merge and len(given["files"]) > 1:
-        raise click.UsageError("a study is for one scene; give one FILE, or --merge.")
-    if merge:
-        table = merged(given["files"])
+        words = "is given beside --merge, but nothing is computed anew; give one of them."
+        refuse(of_studies, words)
+        table = merged(files)
     else:
+        if len(given["files"]) > 1:
+            raise click.UsageError("a study is for one scene; give one FILE, or --merge.")
         ((_, scene),) = tables_of(given).items()
         keep_programs()
         number, count = part or (1, 1)
-        asked: Any = {"answers": given["answers"], "samples": samples, "seed": seed}
+        asked: Any = {"answers": given["answer"], "samples": samples, "seed": seed}
         planned = plan_study(scene, over, part=(number, count), **asked)
         table = planned.table
         if samples is not None and "sample" not in table.dims:

@@ -27,15 +27,27 @@ def explorer_page(scene: Scene, title: str = "") -> str:
     ValueError: a quantity is out of range, or the page cannot compute the scene: it has a filter of
     the position, a device that is not one mass, or more than 200 samples of delay.
     """
-    initial = json.dumps(_initial(scene, title), allow_nan=False)
+    _refuse_others(scene)
+    is_range = scene.hand is not None and scene.hand.varies
+    initial = {
+        "state": _state(scene),
+        "units": {
+            units.name.lower(): {"stiffness": units.stiffness, "damping": units.damping}
+            for units in Units
+        },
+        "software": _software(),
+        "hands": {"lowest": _hand(scene, 0), "highest": _hand(scene, 1)} if is_range else None,
+        "notes": _notes(scene, title),
+    }
+    text = json.dumps(initial, allow_nan=False)
     parts = {
         "/*STYLE*/": _text("page.css"),
         "/*SCRIPT*/": "\n".join(map(script, SCRIPTS)),
-        "/*INITIAL*/": initial.replace("<", "\\u003c"),  # nothing in it ends the script
+        "/*INITIAL*/": text.replace("<", "\\u003c"),  # nothing in it ends the script
     }
     page = _text("page.html")
-    for marker, text in parts.items():
-        page = page.replace(marker, text)
+    for marker, part in parts.items():
+        page = page.replace(marker, part)
     return page
 
 
@@ -46,21 +58,6 @@ def script(name: str) -> str:
 
 def _text(name: str) -> str:
     return files("jaxstab.explore").joinpath(name).read_text(encoding="utf-8")
-
-
-def _initial(scene: Scene, title: str) -> dict[str, Any]:
-    _refuse_others(scene)
-    is_range = scene.hand is not None and scene.hand.varies
-    return {
-        "state": _state(scene),
-        "units": {
-            units.name.lower(): {"stiffness": units.stiffness, "damping": units.damping}
-            for units in Units
-        },
-        "software": _software(),
-        "hands": {"lowest": _hand(scene, 0), "highest": _hand(scene, 1)} if is_range else None,
-        "notes": _notes(scene, title),
-    }
 
 
 def _refuse_others(scene: Scene) -> None:
@@ -84,8 +81,11 @@ def _refuse_others(scene: Scene) -> None:
 
 
 def _state(scene: Scene) -> dict[str, Any]:
-    loop, device = loop_of(scene.at_longest_delay), scene.device
-    stiffness, damping = _cursor(scene)
+    loop, device, (push, speed) = loop_of(scene.at_longest_delay), scene.device, scene.start
+    limits = wall_region(loop).limits()
+    # The first wall shown: half as stiff as the stiffest, if any is stable.
+    shown = (0.5 * limits.stiffness, limits.at_damping) if isfinite(limits.stiffness) else (0, 0)
+    stiffness, damping = (float(f"{gain:.2g}") for gain in shown)
     return {
         "mass": device.effective_mass[0],
         "damping": device.effective_damping,
@@ -97,7 +97,11 @@ def _state(scene: Scene) -> dict[str, Any]:
         "cursorDamping": damping,
         "motion": scene.units.name.lower(),
         "view": "near",
-        **_contact(scene),
+        "contact": "on" if scene.contact and push else "off",
+        "friction": device.friction,
+        "push": push or FINGER[scene.units][0],  # an ordinary one where there is none
+        "speed": speed,
+        "encoder": device.encoder.resolution if device.encoder else 0.0,
         "walls": [
             {"name": name, "stiffness": wall.stiffness, "damping": wall.damping}
             for name, wall in walls_of(scene).items()
@@ -105,39 +109,10 @@ def _state(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _contact(scene: Scene) -> dict[str, Any]:
-    """The contact that the page simulates; with an ordinary push where there is none."""
-    device, (push, speed) = scene.device, scene.start
-    return {
-        "contact": "on" if scene.contact and push else "off",
-        "friction": device.friction,
-        "push": push or FINGER[scene.units][0],
-        "speed": speed,
-        "encoder": device.encoder.resolution if device.encoder else 0.0,
-    }
-
-
 def _hand(scene: Scene, end: int) -> dict[str, float]:
     """Return the hand at the lowest (0) or highest (1) ends of its range."""
-    hand = scene.hand or Hand()
-    ranges = {
-        "handMass": hand.effective_mass,
-        "handStiffness": hand.stiffness,
-        "handDamping": hand.damping,
-    }
-    return {name: ends[end] for name, ends in ranges.items()}
-
-
-def _cursor(scene: Scene) -> tuple[float, float]:
-    """K and B of the first wall shown: half as stiff as the stiffest."""
-    limits = wall_region(loop_of(scene.at_longest_delay)).limits()
-    if not isfinite(limits.stiffness):  # no wall is stable
-        return 0.0, 0.0
-    return _rounded(0.5 * limits.stiffness), _rounded(limits.at_damping)
-
-
-def _rounded(gain: float) -> float:
-    return float(f"{gain:.2g}")
+    names, hand = ("handMass", "handStiffness", "handDamping"), scene.hand or Hand()
+    return {name: ends[end] for name, ends in zip(names, hand.ranges, strict=True)}
 
 
 def _estimator(table: VelocityTable | None, period: float) -> dict[str, Any]:
@@ -177,22 +152,15 @@ def _notes(scene: Scene, title: str) -> list[str]:
         notes.append("The scene names no estimator: the difference over one sample is assumed.")
     if scene.controller.velocity is not None and scene.controller.velocity.is_other_estimator:
         notes.append("Its estimator keeps its coefficients where the sampling period changes.")
-    ignored = _ignored_of_contacts(scene)
-    if ignored:
-        notes.append(f"Simulated contacts on this page ignore {', '.join(ignored)} of the scene.")
-    return notes
-
-
-def _ignored_of_contacts(scene: Scene) -> list[str]:
-    """The parts that only Python simulates: the page pushes against a one-sided wall."""
     given, device, controller = scene.contact, scene.device, scene.controller
-    if given is None:
-        return []
-    is_given = {
+    ignored = {  # that only Python simulates: the page pushes against a one-sided wall
         "device.static_friction": device.static_friction is not None,
         "controller.max_force": controller.max_force is not None,
         "controller.force_step": controller.force_step > 0.0,
-        "contact.one_sided": not given.one_sided,
-        "contact.duration": given.duration != Contact.duration,
+        "contact.one_sided": given and not given.one_sided,
+        "contact.duration": given and given.duration != Contact.duration,
     }
-    return [name for name, is_so in is_given.items() if is_so]
+    names = ", ".join(name for name, is_given in ignored.items() if is_given)
+    if given and names:
+        notes.append(f"Simulated contacts on this page ignore {names} of the scene.")
+    return notes

@@ -8,7 +8,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize, PowerNorm
-from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
@@ -81,7 +80,9 @@ def draw_atlas(
             if row in _FIELDS:
                 filled[row] = panel.pcolormesh(*nodes, norm=_FIELDS[row][1])
             else:
-                filled[row] = _draw_radii(panel, *nodes)
+                look: Any = {"norm": BoundaryNorm(_RADII, 256, extend="both"), "cmap": "viridis"}
+                filled[row] = panel.contourf(*nodes, levels=_RADII, extend="both", **look)
+                panel.contour(*nodes, levels=[1.0], colors="white", linewidths=1.2)
         for panel in column:
             panel.tick_params(labelsize=8)
             panel.locator_params(axis="x", nbins=5)
@@ -177,13 +178,6 @@ def _delays(atlas: "Atlas", given: Sequence[float]) -> list[float]:
 def _draw_verdicts(panel: Axes, alpha: Floats, beta: Floats, verdict: NDArray[np.int8]) -> None:
     colours = ListedColormap([_COLOURS[code] for code in Verdict])
     panel.pcolormesh(alpha, beta, verdict, cmap=colours, vmin=-0.5, vmax=len(Verdict) - 0.5)
-
-
-def _draw_radii(panel: Axes, alpha: Floats, beta: Floats, radius: Floats) -> QuadContourSet:
-    colours: Any = {"norm": BoundaryNorm(_RADII, 256, extend="both"), "cmap": "viridis"}
-    filled = panel.contourf(alpha, beta, radius, levels=_RADII, extend="both", **colours)
-    panel.contour(alpha, beta, radius, levels=[1.0], colors="white", linewidths=1.2)
-    return filled
 
 
 def _nodes_of(

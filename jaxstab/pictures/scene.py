@@ -53,10 +53,10 @@ from jaxstab.scene.answers import (
     in_words,
     printed_wall,
 )
-from jaxstab.scene.check import Check, Margins, WallCheck, check_walls
-from jaxstab.scene.contact import Contacts, contact_loop, simulated_map, walls_around
+from jaxstab.scene.check import Check, WallCheck, check_walls
+from jaxstab.scene.contact import Contacts, simulated_map, walls_around
 from jaxstab.scene.gains import GainScene
-from jaxstab.scene.limits import LimitsOverDelays, passive_walls
+from jaxstab.scene.limits import Limits, passive_walls
 from jaxstab.scene.loops import (
     BUT_FOR_DRIFT,
     WallVerdict,
@@ -79,8 +79,7 @@ if TYPE_CHECKING:
 
 # The walls of a scene in its picture: marks by their verdicts, names, and responses.
 
-Walls = Mapping[str, WallVerdict]
-
+Marks = Mapping[str, tuple[Spot, Verdict | str]]  # where walls, or gains, stand, and verdicts
 
 _LOOKS: dict[Verdict | str, tuple[str, str, str]] = {  # colour, mark and line of a wall
     Verdict.STABLE: (BLUE, "o", "-"),
@@ -90,34 +89,27 @@ _LOOKS: dict[Verdict | str, tuple[str, str, str]] = {  # colour, mark and line o
 }
 
 
-def draw_walls(panel: Axes, checked: Walls) -> None:
+def marks_of(walls: Mapping[str, WallVerdict]) -> Marks:
+    """The marks of walls in the plane of K and B."""
+    return {name: ((wall.stiffness, wall.damping), wall.verdict) for name, wall in walls.items()}
+
+
+def _draw_marks(panel: Axes, marks: Marks, noun: str = "wall") -> None:
     """Draw a mark for each wall, by its verdict."""
-    verdicts = {name: wall.verdict for name, wall in checked.items()}
-    _draw_marks(panel, spots_of(checked), verdicts, "wall")
-
-
-def _draw_marks(
-    panel: Axes, spots: Mapping[str, Spot], verdicts: Mapping[str, Verdict | str], noun: str
-) -> None:
     for verdict, (colour, mark, _) in _LOOKS.items():
-        found = [spots[name] for name in spots if verdicts[name] == verdict]
+        found = [spot for spot, own in marks.values() if own == verdict]
         look: Any = {"color": colour, "ms": 9, "mec": BLACK, "ls": "", "zorder": 5}
         if found:
             label = f"{noun}, {in_words(verdict)}"
             panel.plot(*np.transpose(found), mark, label=label, **look)
 
 
-def spots_of(walls: Walls) -> dict[str, Spot]:
-    """Where the walls of a scene stand in the plane of K and B."""
-    return {name: (wall.stiffness, wall.damping) for name, wall in walls.items()}
-
-
 def draw_margins(panel: Axes, checked: dict[str, WallCheck]) -> None:
     """Draw from each stable wall how far K alone, and B alone, may go."""
     label = "K alone, or B alone, may go this far"
     for wall in checked.values():
-        if isinstance(wall.margins, Margins) and np.isfinite(wall.margins.stiffness_limits).all():
-            stiffness, damping = wall.margins.stiffness_limits, wall.margins.damping_limits
+        stiffness, damping = wall.stiffness_limits, wall.damping_limits
+        if stiffness and damping and np.isfinite(stiffness).all():
             panel.plot(stiffness, [wall.damping] * 2, "|-", color=BLACK, lw=1.2, ms=9, label=label)
             panel.plot([wall.stiffness] * 2, damping, "_-", color=BLACK, lw=1.2, ms=9)
             label = ""
@@ -129,8 +121,8 @@ def draw_responses(panel: Axes, scene: Scene, checked: dict[str, WallCheck]) -> 
     fewest, most = 100, 2000  # samples of a response
     level = 0.02
     period = scene.controller.sample_time
-    times = [wall.settling.settling_time_2_percent for wall in checked.values() if wall.settling]
-    settled = [time for time in times if isfinite(time)] or [0.0]
+    times = (wall.settling_time_2_percent for wall in checked.values())
+    settled = [time for time in times if time is not None and isfinite(time)] or [0.0]
     longest = min(1.2 * max(settled), 6.0 * min(settled))
     samples = int(np.clip(longest / period, fewest, most))
     panel.set_prop_cycle(color=_COLOURS)
@@ -203,7 +195,7 @@ def scene_figure(scene: Scene | GainScene, answer: Answer | None = None) -> Figu
     widths = [_WIDTH] + [3.6] * len(beside) + [4.8] * (checked is not None)  # inches
     figure = Figure(figsize=(sum(widths), _HEIGHT), layout="constrained")
     panels = figure.subplots(1, len(widths), squeeze=False, width_ratios=widths)[0]
-    gains = np.array([*spots_of(walls).values()]).reshape(-1, 2)
+    gains = np.array([spot for spot, _ in walls.values()]).reshape(-1, 2)
     seen = [np.maximum(region.outline, 0.0), gains, np.zeros((1, 2))]
     if checked is not None:
         draw_margins(panels[0], checked.walls)
@@ -244,23 +236,23 @@ def scene_figure(scene: Scene | GainScene, answer: Answer | None = None) -> Figu
         draw_responses(panels[-1], scene, checked.walls)
         panels[-1].set_title("Response to a constant push")
     for panel in planes:
-        draw_walls(panel, walls)
+        _draw_marks(panel, walls)
     of_responses = "; responses: worst hand of each wall" if checked else ""
     _write_basis(figure, scene, basis, of_responses)
-    return _with_legend(figure, planes, spots_of(walls), min(1 + len(widths), 4), levels)
+    return _with_legend(figure, planes, walls, min(1 + len(widths), 4), levels)
 
 
 def _gain_figure(scene: GainScene) -> Figure:
     """The stable gains of a loop, in the coordinates of its region, with the pairs of a scene."""
     small = 0.1  # of the axes, in either direction: pairs that close are enlarged
-    region, spots, verdicts = scene.loop.region(), {}, {}
+    region, marks = scene.loop.region(), dict[str, tuple[Spot, Verdict | str]]()
     for name, pair in scene.pairs.items():
         with np.errstate(all="ignore"):  # of a mass of 0
             x, y = scene.loop._chart.of_gains(*np.array([*pair.values()]))
-        spots[name], verdicts[name] = (float(x), float(y)), scene.verdict(*pair.values())
+        marks[name] = (float(x), float(y)), scene.verdict(*pair.values())
     figure = Figure(figsize=(_WIDTH, _HEIGHT), layout="constrained")
     panels = [region.plot(figure.subplots())]
-    points = np.array([*spots.values(), (0.0, 0.0)])
+    points = np.array([*(spot for spot, _ in marks.values()), (0.0, 0.0)])
     points = points[np.isfinite(points).all(axis=1)]
     window = np.ptp([panels[0].get_xlim(), panels[0].get_ylim()], axis=1)
     if len(points) > 1 and (np.ptp(points, axis=0) < small * window).all():
@@ -271,8 +263,8 @@ def _gain_figure(scene: GainScene) -> Figure:
     stiffest = ", the stiffest" if scene.is_range else ""
     figure.suptitle(fill(plain(scene.loop.words + stiffest), 70), fontsize=9)
     for panel in panels:
-        _draw_marks(panel, spots, verdicts, "gains")
-    return _with_legend(figure, panels, spots, 3)
+        _draw_marks(panel, marks, "gains")
+    return _with_legend(figure, panels, marks, 3)
 
 
 def _write_basis(figure: Figure, scene: Scene, basis: Basis, more: str = "") -> None:
@@ -322,29 +314,29 @@ def _design_figure(scene: Scene, design: Design, basis: Basis) -> Figure:
     return figure
 
 
-def _judged(scene: Scene, answer: Answer | None) -> Walls:
-    """Return the walls of a scene with their verdicts, of an answer that has them."""
-    if isinstance(answer, Check | LimitsOverDelays):
-        return answer.walls
-    if not scene.walls:
-        return {}
-    return check_walls(replace(scene, wanted=replace(scene.wanted, measures=()))).walls
+def _judged(scene: Scene, answer: Answer | None) -> Marks:
+    """Return the marks of a scene's walls, with verdicts of an answer that has them."""
+    known = answer.walls.items() if isinstance(answer, Check | Limits) else ()
+    judged = {name: wall for name, wall in known if isinstance(wall, WallVerdict)}
+    if scene.walls and not judged:
+        bare = replace(scene, wanted=replace(scene.wanted, measures=()))
+        return marks_of(check_walls(bare).walls)
+    return marks_of(judged)
 
 
-def _moving_figure(scene: Scene, walls: Walls, basis: Basis) -> Figure:
+def _moving_figure(scene: Scene, walls: Marks, basis: Basis) -> Figure:
     """Draw walls that are proved for every sequence of delays, and those of the scene."""
     figure = Figure(figsize=(_WIDTH, _HEIGHT), layout="constrained")
     panel = figure.subplots()
     loop = MovingLoop.from_loop(loops_over_delays(scene)[0], **delays_of(scene))
-    spots = spots_of(walls)
-    stable = [spots[name] for name, wall in walls.items() if wall.verdict == Verdict.STABLE]
+    stable = [spot for spot, verdict in walls.values() if verdict == Verdict.STABLE]
     drawn = plot_moving(loop, panel, stable)
-    draw_walls(panel, walls)
-    gains = np.array([*spots.values()]).reshape(-1, 2)
+    _draw_marks(panel, walls)
+    gains = np.array([spot for spot, _ in walls.values()]).reshape(-1, 2)
     _set_window(panel, np.concatenate([drawn, gains, np.zeros((1, 2))]))
     _label_gains(panel, scene.units)
     _write_basis(figure, scene, basis)
-    return _with_legend(figure, [panel], spots, 3)
+    return _with_legend(figure, [panel], walls, 3)
 
 
 def _label_gains(panel: Axes, units: Units) -> None:
@@ -355,7 +347,7 @@ def _label_gains(panel: Axes, units: Units) -> None:
 def _with_legend(
     figure: Figure,
     panels: list[Axes],
-    spots: Mapping[str, Spot],
+    marks: Marks,
     most: int,
     levels: Sequence[Level] = (),
 ) -> Figure:
@@ -374,7 +366,7 @@ def _with_legend(
         legend.remove()
     more = legend.get_window_extent().height / figure.dpi - usual
     figure.set_figheight(figure.get_figheight() + max(0.0, more))
-    return _named(figure, panels, spots, levels)
+    return _named(figure, panels, {name: spot for name, (spot, _) in marks.items()}, levels)
 
 
 def _named(
@@ -600,7 +592,7 @@ REST = "#98d594"
 
 def scene_contacts(scene: Scene) -> Figure:
     """Return the map of simulated contacts of a scene, from its own start, and its walls."""
-    loop, gains, units = contact_loop(scene), walls_of(scene), scene.units
+    loop, gains, units = loop_of(scene.at_longest_delay), walls_of(scene), scene.units
     walls = walls_around(loop, 60, gains.values())  # along each axis
     (push, speed), contact = scene.start, simulated_map(scene, *walls)
     force = Quantity("N")

@@ -99,19 +99,14 @@ def _draw_lines(panel: Axes, study: "Dataset", bands: "list[DataArray]") -> None
     count = lines.shape[2]
     colors = [BLUE] if count == 1 else mpl.colormaps["viridis"](np.linspace(0, 0.85, count))
     for k, (color, (line, mark)) in enumerate(zip(colors, looks, strict=False)):
-        label = _value_text(second[0][k]) if second else None
+        value = second[0][k].item() if second else ""
+        label = plain(f"{value:g}" if isinstance(value, int | float) else f"{value}")
         look: Any = {"ls": line if _is_number(first) else "", "marker": mark, "color": color}
         size = 4 if _is_number(first) else 7
         panel.plot(places, lines[len(bands) // 2, :, k], ms=size, label=label, **look)
         panel.fill_between(places, *lines[[0, -1], :, k], color=color, alpha=0.2, lw=0)
     if second:
         panel.legend(title=_label(second[0]), fontsize=8, title_fontsize=8)
-
-
-def _value_text(value: "DataArray") -> str:
-    if not _is_number(value):
-        return plain(str(value.item()))
-    return plain(f"{value:g}")
 
 
 def _draw_map(panel: Axes, values: "DataArray", label: str) -> None:

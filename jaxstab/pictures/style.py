@@ -108,20 +108,20 @@ def closed_outline(region: Region) -> Floats:
     return broken
 
 
-def draw_stable(panel: Axes, region: Region) -> None:
+def draw_stable(
+    panel: Axes, region: Region, label: str = "stable", fill: str = SKY, edge: str = BLUE
+) -> None:
     """Fill the stable set."""
     outline = closed_outline(region).T
-    panel.fill(*outline, color=SKY, alpha=0.35, lw=0, label="stable")
-    panel.plot(*outline, color=BLUE, lw=1.2)
+    panel.fill(*outline, color=fill, alpha=0.35, lw=0, label=label)
+    panel.plot(*outline, color=edge, lw=1.2)
 
 
 def draw_islands(panel: Axes, islands: Sequence[Region]) -> None:
     """Fill islands: stable sets that are not connected to small gains."""
-    label = "stable, not connected to zero gains"
-    for k, island in enumerate(islands):
-        outline = closed_outline(island).T
-        panel.fill(*outline, color=PURPLE, alpha=0.35, lw=0, label="" if k else label)
-        panel.plot(*outline, color=PURPLE, lw=1.2)
+    for island in islands:
+        label = "stable, not connected to zero gains" if island is islands[0] else ""
+        draw_stable(panel, island, label, PURPLE, PURPLE)
 
 
 def plot_region(region: Region, ax: Axes | None = None) -> Axes:
@@ -265,11 +265,9 @@ def new_axes() -> Axes:
     return pyplot.subplots(figsize=_SIZE, layout="constrained")[1]
 
 
-def html_of(
-    thing: object, draw: Callable[[Axes], object], size: tuple[float, float] = _SIZE
-) -> str:
+def html_of(thing: object, draw: Callable[[Axes], object]) -> str:
     """Return HTML of the text of a thing and, above it, its picture if it can be drawn."""
-    words, figure = repr(thing), Figure(figsize=size, layout="constrained")
+    words, figure = repr(thing), Figure(figsize=_SIZE, layout="constrained")
     try:
         draw(figure.subplots())
     except ValueError:

@@ -13,7 +13,7 @@ from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 from enum import IntEnum
 from functools import cache
 from math import isfinite, isinf, isnan
-from typing import Annotated, Any, ClassVar, get_args, get_type_hints
+from typing import Annotated, Any, get_args, get_type_hints
 
 from jaxstab.scene.scene import Controller, Grip, Hand, Scene, Units
 from jaxstab.shown import MOST_DIGITS, Printed, exact_text, rounded_text, stable_pair
@@ -63,7 +63,7 @@ GIVEN = 0
 
 @dataclass(frozen=True)
 class Quantity:
-    """Format of a number: its unit and significant digits, a rounding mode, words for infinity.
+    """Format of a number: its unit and digits, a rounding mode, words for infinity and for NaN.
 
     Times and lengths have the prefix of their size. The ends of an interval are rounded inwards,
     with enough digits that they stay in order.
@@ -73,10 +73,13 @@ class Quantity:
     digits: int = 6
     rounding: str = ROUND_HALF_EVEN
     infinite: str = "unlimited"
+    absent: str = "none"
 
     def words(self, value: Any, units: Units = Units.LINE) -> str:
-        """Return a finite or infinite number, or the two ends of an interval, with their unit."""
+        """Return a number, or the two ends of an interval, with their unit."""
         ends = value if isinstance(value, tuple) else (value,)
+        if any(map(isnan, ends)):
+            return self.absent
         factor, prefix = self._prefix(max(map(abs, ends)))
         if isinstance(value, tuple):
             text = self._interval(value, factor)
@@ -148,9 +151,6 @@ class Answer:
     their names. An answer with a field ``inputs`` has its units, and so have the answers in it.
     """
 
-    absent: ClassVar[str] = "none"
-    """The words for a number that is NaN."""
-
     def as_json(self, units: Units = Units.LINE) -> dict[str, Any]:
         """Names and values as JSON has them (NaN, infinity: None), with units beside the inputs."""
         units = self._units(units)
@@ -159,12 +159,10 @@ class Answer:
             place = table
             for key in outer:
                 place = place.setdefault(key, {})
-            if not isinstance(value, Answer):
-                place[name if outer else _named(name, units)] = _for_json(value)
-            elif isinstance(value, Part):
-                place |= value.as_json(units)
-            else:
-                place[name] = value.as_json(units)
+            own = value.as_json(units) if isinstance(value, Answer) else _for_json(value)
+            place |= (
+                own if isinstance(value, Part) else {name if outer else _named(name, units): own}
+            )
             if name == "inputs":
                 table["units"] = self._units_of_keys(units)
         return table
@@ -237,10 +235,8 @@ class Answer:
         return quantities(kind)[name]
 
     def _words(self, name: str, value: Any, units: Units) -> str:
-        if isinstance(value, str | IntEnum):
-            return in_words(value)
-        is_absent = isnan(sum(value) if isinstance(value, tuple) else value)
-        return self.absent if is_absent else self._quantity(name).words(value, units)
+        is_text = isinstance(value, str | IntEnum)
+        return in_words(value) if is_text else self._quantity(name).words(value, units)
 
 
 class Part(Answer):
@@ -496,16 +492,10 @@ def explain_model(scene: Scene) -> str:
         "a mass, hand{} or gain that changes while the wall is touched; several axes at once",
         "adaptive velocity estimators, a jittering sampling clock",
     )
-    every = [", ".join(_not_modelled(scene)), *(words.format(delay) for words in left_out)]
+    device, hand = scene.device, scene.hand
+    could = ["vibration modes" + " other than these" * bool(device.modes)]
+    could += [] if device.actuator else ["bandwidth of motor and amplifier"]
+    could += [] if hand is None or hand.grip else ["a compliant grip"]
+    every = [", ".join(could), *(words.format(delay) for words in left_out)]
     outside = [f"{'' if k else 'outside':{column}}{w}" for k, w in enumerate(every)]
     return "\n".join([_DIAGRAM, *blocks, *outside])
-
-
-def _not_modelled(scene: Scene) -> list[str]:
-    """The aspects of device and hand that the scene could describe but does not."""
-    device, hand = scene.device, scene.hand
-    return [
-        "vibration modes other than these" if device.modes else "vibration modes",
-        *([] if device.actuator else ["bandwidth of motor and amplifier"]),
-        *([] if hand is None or hand.grip else ["a compliant grip"]),
-    ]

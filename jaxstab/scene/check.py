@@ -1,7 +1,7 @@
 """The walls of a scene: verdict, margins, radius, settling and chatter, with proofs."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from math import inf, isinf, isnan, nan
 from typing import Annotated, Any
@@ -28,12 +28,10 @@ from jaxstab.scene.answers import (
     Answer,
     Basis,
     Bound,
-    DampingLimits,
     Frequency,
     Number,
     Part,
     Quantity,
-    StiffnessLimits,
     basis_of,
     line,
 )
@@ -55,39 +53,18 @@ from jaxstab.scene.loops import (
 from jaxstab.scene.scene import Scene, Units
 from jaxstab.shown import table_text
 
-Amplitude = Annotated[float, Quantity("m", 3, ROUND_CEILING, "not proved")]
-SettlingTime = Annotated[float, Quantity("s", infinite="never")]
-SpareTime = Annotated[float, Quantity("s", 4, ROUND_FLOOR, "any")]
-SpareGain = Annotated[float, Quantity("", 4, ROUND_FLOOR, "any")]
-
-
-@dataclass(frozen=True)
-class Margins(Part):
-    """The change that each quantity allows alone: the least over some hands."""
-
-    absent = "not proved"
-
-    stiffness_gain: SpareGain
-    damping_gain: SpareGain
-    stiffness_limits: StiffnessLimits
-    damping_limits: DampingLimits
-    extra_delay: SpareTime
-
-
-@dataclass(frozen=True)
-class NoMargins(Part):
-    """Where walls are stable beside one that is not: all K at its B, all B at its K.
-
-    For some hands at once; of several intervals the lowest comes first. It is left out where the
-    intervals of a hand are not resolved, which is rare.
-    """
-
-    absent = "none is stable"
-
-    stable_at_its_damping: StiffnessLimits | None
-    other_stiffnesses: dict[str, StiffnessLimits]
-    stable_at_its_stiffness: DampingLimits | None
-    other_dampings: dict[str, DampingLimits]
+_NOT_PROVED = "not proved"
+Amplitude = Annotated[float, Quantity("m", 3, ROUND_CEILING, _NOT_PROVED)]
+SettlingTime = Annotated[float, Quantity("s", infinite="never", absent=_NOT_PROVED)]
+SpareTime = Annotated[float, Quantity("s", 4, ROUND_FLOOR, "any", _NOT_PROVED)]
+SpareGain = Annotated[float, Quantity("", 4, ROUND_FLOOR, "any", _NOT_PROVED)]
+_Peak = Annotated[float, Quantity("", 4, ROUND_CEILING, absent=_NOT_PROVED)]
+_Force = Annotated[float, Quantity("N", 3, ROUND_CEILING, _NOT_PROVED)]
+_Distance = Annotated[float, Quantity(rounding=ROUND_FLOOR, absent="not known")]
+_Limits = tuple[float, float]
+_NONE = "none is stable"
+_StableStiffnesses = Annotated[_Limits, Quantity("N/m", 4, absent=_NONE)]
+_StableDampings = Annotated[_Limits, Quantity("N s/m", 4, absent=_NONE)]
 
 
 @dataclass(frozen=True)
@@ -97,20 +74,18 @@ class FrequencyMargins(Part):
     Without a gain margin it is one line, of two numbers.
     """
 
-    absent = "not proved"
-
-    phase_margin: Annotated[float, Quantity("degrees", 4, ROUND_FLOOR, "any")]
+    phase_margin: Annotated[float, Quantity("degrees", 4, ROUND_FLOOR, "any", _NOT_PROVED)]
     phase_margin_at: Frequency | None
-    peak_sensitivity: Annotated[float, Quantity("", 4, ROUND_CEILING)]
+    peak_sensitivity: _Peak
     peak_sensitivity_at: Frequency | None
     gain_margin: SpareGain | None
     gain_margin_at: Frequency | None
-    least_gain: Annotated[float, Quantity("", 4, ROUND_CEILING)] | None
+    least_gain: _Peak | None
     delay_margin: SpareTime | None
     delay_margin_at: Frequency | None
-    peak_complementary: Annotated[float, Quantity("", 4, ROUND_CEILING)] | None
+    peak_complementary: _Peak | None
     peak_complementary_at: Frequency | None
-    disk_margin: Annotated[float, Quantity("", 4, ROUND_FLOOR)] | None
+    disk_margin: Annotated[float, Quantity("", 4, ROUND_FLOOR, absent=_NOT_PROVED)] | None
     disk_margin_at: Frequency | None
 
     def rows(self, units: Units = Units.LINE) -> dict[str, str]:
@@ -132,69 +107,6 @@ class FrequencyMargins(Part):
 
 
 @dataclass(frozen=True)
-class Distance(Part):
-    """The least distance to the edge of stability over some hands, in units of alpha and beta."""
-
-    absent = "not known"
-
-    distance_to_boundary: Annotated[float, Quantity(rounding=ROUND_FLOOR)]
-
-
-@dataclass(frozen=True)
-class Radius(Part):
-    """The spectral radius and the bound of its error."""
-
-    spectral_radius: Number
-    radius_error: Bound
-
-
-@dataclass(frozen=True)
-class Settling(Part):
-    """The longest settling times of some hands, and the hand that takes longest to 2 percent.
-
-    They are NaN where one is not proved, infinite for an unstable wall.
-    """
-
-    absent = "not proved"
-
-    settling_time_2_percent: SettlingTime
-    settling_time_5_percent: SettlingTime
-    settling_status: SettlingStatus
-    slowest_hand: OneHand | None
-
-
-@dataclass(frozen=True)
-class Oscillation(Part):
-    """The slowest mode, with the hand for which it is damped least."""
-
-    damping_ratio: Number
-    frequency: Frequency
-    least_damped_hand: OneHand | None
-
-
-@dataclass(frozen=True)
-class Chatter(Part):
-    """The largest position and force, at all times, to which the encoder's rounding drives."""
-
-    chatter_at_most: Amplitude
-    force_chatter_at_most: Annotated[float, Quantity("N", 3, ROUND_CEILING, "not proved")]
-    force_per_count: Annotated[float, Quantity("N", 3)]
-
-
-@dataclass(frozen=True)
-class Jitter(Part):
-    """The excess of the delay over the scene's longest if it changes from sample to sample.
-
-    It is proved for every hand of the scene.
-    """
-
-    absent = "not proved"
-
-    extra_delay_moving: SpareTime
-    moving_is: str | None
-
-
-@dataclass(frozen=True)
 class WallCheck(WallVerdict):
     """The verdict on a wall, and the requested measures.
 
@@ -203,14 +115,39 @@ class WallCheck(WallVerdict):
     """
 
     measures_are: str | None
-    margins: Margins | NoMargins | None = None
-    frequency: FrequencyMargins | None = None
-    distance: Distance | None = None
-    radius: Radius | None = None
-    settling: Settling | None = None
-    oscillation: Oscillation | None = None
-    chatter: Chatter | None = None
-    jitter: Jitter | None = None
+    # The change that each quantity allows alone: the least over the hands.
+    stiffness_gain: SpareGain | None = None
+    damping_gain: SpareGain | None = None
+    stiffness_limits: Annotated[_Limits, Quantity("N/m", 4, absent=_NOT_PROVED)] | None = None
+    damping_limits: Annotated[_Limits, Quantity("N s/m", 4, absent=_NOT_PROVED)] | None = None
+    extra_delay: SpareTime | None = None
+    # Beside a wall that is not stable: all K at its B, all B at its K, for the hands at once. Of
+    # several intervals the lowest comes first.
+    stable_at_its_damping: _StableStiffnesses | str | None = None
+    other_stiffnesses: dict[str, _StableStiffnesses] = field(default_factory=dict)
+    stable_at_its_stiffness: _StableDampings | str | None = None
+    other_dampings: dict[str, _StableDampings] = field(default_factory=dict)
+    margins_over_frequency: FrequencyMargins | None = None
+    # The least distance to the edge of stability, in units of alpha and beta.
+    distance_to_boundary: _Distance | None = None
+    spectral_radius: Number | None = None
+    radius_error: Bound | None = None
+    # The longest times, infinite for an unstable wall, and the hand that takes longest to 2 %.
+    settling_time_2_percent: SettlingTime | None = None
+    settling_time_5_percent: SettlingTime | None = None
+    settling_status: SettlingStatus | None = None
+    slowest_hand: OneHand | None = None
+    # The slowest mode, with the hand for which it is damped least.
+    damping_ratio: Number | None = None
+    frequency: Frequency | None = None
+    least_damped_hand: OneHand | None = None
+    # The largest position and force, at all times, to which the encoder's rounding drives.
+    chatter_at_most: Amplitude | None = None
+    force_chatter_at_most: _Force | None = None
+    force_per_count: Annotated[float, Quantity("N", 3)] | None = None
+    # The excess of the delay over the scene's longest if it changes from sample to sample.
+    extra_delay_moving: SpareTime | None = None
+    moving_is: str | None = None
     simulated: Simulated | str | None = None
 
     def rows(self, name: str, inputs: Basis) -> Iterator[tuple[str, str]]:
@@ -222,7 +159,7 @@ class WallCheck(WallVerdict):
             yield "  measures", self.measures_are
         if self.verdict == Verdict.UNSTABLE and delays:
             return  # all else is of constant delays
-        if isinstance(self.margins, NoMargins):
+        if self.stable_at_its_damping is not None:
             beside = (("K", "stiffness", "damping"), ("B", "damping", "stiffness"))
             ends = (said.get(f"stable_at_its_{fixed}_low") for *_, fixed in beside)
             places = (
@@ -230,23 +167,24 @@ class WallCheck(WallVerdict):
                 for (letter, own, fixed), words in zip(beside, ends, strict=True)
             )
             yield "  stable walls", "; ".join(places)
-        elif self.margins:
+        elif self.stiffness_gain is not None:
             growth = [said[f"{gain}_gain"] for gain in ("stiffness", "damping")]
             growth = [f"a factor of {x}" if x[0].isdigit() else f"{x} factor" for x in growth]
             yield "  gain margins", "K may grow by {}, B by {}".format(*growth)
-            moving = f", {said['extra_delay_moving']} (varying)" if self.jitter and delays else ""
-            yield "  extra delay", f"{said['extra_delay']} (constant){moving}"
-        if self.frequency:
-            rows = self.frequency.rows(inputs.units)
+            moving = said.get("extra_delay_moving") if delays else None
+            words = f"{said['extra_delay']} (constant)"
+            yield "  extra delay", f"{words}, {moving} (varying)" if moving else words
+        if self.margins_over_frequency:
+            rows = self.margins_over_frequency.rows(inputs.units)
             yield from ((f"  {name}", words) for name, words in rows.items())
-        if self.settling:
-            is_open = self.settling.settling_status == SettlingStatus.NOT_SETTLED
+        if self.settling_status is not None:
+            is_open = self.settling_status == SettlingStatus.NOT_SETTLED
             horizon = Quantity("s", 3).words(_HORIZON * inputs.sample_time)
             words = f"not proved within {horizon}" if is_open else said["settling_time_2_percent"]
             yield "  settling time (2 %)", words
-        if self.chatter:
+        if self.chatter_at_most is not None:
             most = said["chatter_at_most"], said["force_chatter_at_most"]
-            is_endless = isinf(self.chatter.chatter_at_most)
+            is_endless = isinf(self.chatter_at_most)
             yield "  encoder chatter", most[0] if is_endless else "at most {} and {}".format(*most)
         if self.simulated:
             felt = self.simulated
@@ -317,21 +255,27 @@ def _checked(wall: _Wall, felt: Simulated | str | None, *, in_full: bool) -> Wal
         "chatter": {"encoder": encoder.resolution} if encoder else {},
         "jitter": {"hands": hands_of(scene), "mass": masses_of(scene)},
     }
+    of_worst = {"jitter": [replace(wall.worst_loop, delay=scene.controller.delays[0])]}
+    of_worst |= {} if scene.controller.moves else {"radius": [wall.worst_loop]}
     printed = ["margins", "frequency", "settling", "chatter"] + ["jitter"] * scene.controller.moves
     of_stable = [*printed, "jitter"] if not in_full else ["margins", "frequency", "jitter"]
-    reason = _left_out(wall) if wanted.measures else None
-    for name, (method, summarise) in _MEASURES.items() if reason is None else ():
+    reason = None
+    if wall.worst.drifts:
+        reason = "left out: nothing holds the position; limits --at-stiffness 0 gives the dampings"
+    elif scene.controller.moves and wall.worst.verdict != Verdict.STABLE:
+        reason = "left out: they are of constant delays, but the delay moves"
+    for name, (method, summarise) in _MEASURES.items() if not reason else ():
         is_known = name != "chatter" or encoder is not None
         if name not in wanted.measures or not (is_known and (in_full or name in printed)):
             continue
         if not (is_unstable and name in of_stable):
-            loops = _loops_for(wall, name)
+            loops = of_worst.get(name, wall.loops)
             found = [method(loop, *wall.gains, **options.get(name, {})) for loop in loops]
             each = tree_map(lambda *parts: np.stack(parts), *found)
-            answers[name] = summarise(wall, loops, each)
+            answers |= summarise(wall, loops, each)
         elif name == "margins" and (in_full or not wall.worst.worst_delays):
-            answers[name] = _stable_around(wall)
-    measures = reason or (_measures_are(wall) if answers else None)
+            answers |= _stable_around(wall)
+    measures = _measures_are(wall) if answers else reason if wanted.measures else None
     return WallCheck(**vars(wall.worst), measures_are=measures, **answers, simulated=felt)
 
 
@@ -347,23 +291,6 @@ def _walls_of(scene: Scene) -> list[_Wall]:
     ]
 
 
-def _left_out(wall: _Wall) -> str | None:
-    """Return why a wall has no measures; None where it has."""
-    if wall.worst.drifts:
-        return "left out: nothing holds the position; limits --at-stiffness 0 gives the dampings"
-    if wall.scene.controller.moves and wall.worst.verdict != Verdict.STABLE:
-        return "left out: they are of constant delays, but the delay moves"
-    return None
-
-
-def _loops_for(wall: _Wall, measure: str) -> list[HapticLoop]:
-    """Return the loops of a wall that a measure is for: all of them, or the worst alone."""
-    controller = wall.scene.controller
-    if measure == "jitter":
-        return [replace(wall.worst_loop, delay=controller.delays[0])]
-    return [wall.worst_loop] if measure == "radius" and not controller.moves else wall.loops
-
-
 def _measures_are(wall: _Wall) -> str | None:
     """Of how many hands and delays the measures are the worst; None of a single loop."""
     loops, controller = len(wall.loops), wall.scene.controller
@@ -377,31 +304,36 @@ def _hand_of(wall: _Wall, loop: HapticLoop) -> OneHand | None:
     return None if wall.worst.worst_hand is None else held_by(loop, wall.scene)
 
 
-def _stable_around(wall: _Wall) -> NoMargins:
+def _stable_around(wall: _Wall) -> dict[str, Any]:
     """The stable walls beside one that is not stable."""
     first, *stiffnesses = _stable_beside(wall.gains.damping, wall.loops, "stiffness_intervals")
     second, *dampings = _stable_beside(wall.gains.stiffness, wall.loops, "damping_intervals")
-    return NoMargins(first, numbered(stiffnesses), second, numbered(dampings))
+    return {
+        "stable_at_its_damping": first,
+        "other_stiffnesses": numbered(stiffnesses),
+        "stable_at_its_stiffness": second,
+        "other_dampings": numbered(dampings),
+    }
 
 
-def _least_margins(_: _Wall, __: list[HapticLoop], margins: LoopMargins) -> Margins:
-    spare = np.array([margins.stiffness_gain, margins.damping_gain, margins.extra_delay])
+def _least_margins(_: _Wall, __: list[HapticLoop], margins: LoopMargins) -> dict[str, Any]:
+    names = "stiffness_gain", "damping_gain", "extra_delay"
     # NaN, of a hand with which the wall is not stable, goes through.
-    stiffer, damper, extra_delay = spare.min(axis=1).tolist()
-    limits = _common(margins.stiffness), _common(margins.damping)
-    return Margins(stiffer, damper, *limits, extra_delay)
+    least = {name: float(getattr(margins, name).min()) for name in names}
+    limits = {"stiffness": margins.stiffness, "damping": margins.damping}
+    return least | {f"{name}_limits": _common(own) for name, own in limits.items()}
 
 
 def _stable_beside(gain: float, loops: list[HapticLoop], method: str) -> list[Any]:
     """The gains beside another one, from 0 on, with which all loops are stable; NaN for none.
 
-    A single None where they are not resolved.
+    A single text where they are not resolved.
     """
     common = [(0.0, inf)]
     for loop in loops:
         line = getattr(loop, method)(gain)
         if line.status != LineStatus.PROVED:
-            return [None]
+            return ["not resolved"]
         ends = inner_ends(line)
         pairs = ((max(a, c), min(b, d)) for a, b in common for c, d in ends)
         common = [(low, high) for low, high in pairs if low < high]
@@ -434,19 +366,26 @@ def _common(limits: Float64[np.ndarray, "hand 2"]) -> tuple[float, float]:
     return float(without_noise(low, high - low)), float(without_noise(high, high - low))
 
 
-def _radius(_: _Wall, __: list[HapticLoop], radius: SpectralRadius) -> Radius:
+def _radius(_: _Wall, __: list[HapticLoop], radius: SpectralRadius) -> dict[str, Any]:
     worst = int(np.argmax(radius.value))
-    return Radius(float(radius.value[worst]), float(radius.error[worst]))
+    own = {"spectral_radius": radius.value, "radius_error": radius.error}
+    return {name: float(values[worst]) for name, values in own.items()}
 
 
-def _longest(wall: _Wall, loops: list[HapticLoop], settlings: list[MotionSettling]) -> Settling:
+def _longest(
+    wall: _Wall, loops: list[HapticLoop], settlings: list[MotionSettling]
+) -> dict[str, Any]:
     numbers = [_slowest(settling) for settling in settlings]
     two, five = (
         MotionSettling(settling.value[index], settling.status[index])
         for index, settling in zip(numbers, settlings, strict=True)
     )
-    status, hand = SettlingStatus(int(two.status)), _hand_of(wall, loops[numbers[0]])
-    return Settling(settled(two), settled(five), status, hand)
+    return {
+        "settling_time_2_percent": settled(two),
+        "settling_time_5_percent": settled(five),
+        "settling_status": SettlingStatus(int(two.status)),
+        "slowest_hand": _hand_of(wall, loops[numbers[0]]),
+    }
 
 
 def _slowest(settling: MotionSettling) -> int:
@@ -466,20 +405,25 @@ def settled(settling: MotionSettling) -> float:
     return inf if status == SettlingStatus.UNSTABLE else nan
 
 
-def _least_damped(wall: _Wall, loops: list[HapticLoop], modes: Mode) -> Oscillation:
-    """Return the slowest mode, with the hand for which it is damped least."""
+def _least_damped(wall: _Wall, loops: list[HapticLoop], modes: Mode) -> dict[str, Any]:
     ratios = np.asarray(modes.damping_ratio)
     index = int(np.argmin(np.where(np.isnan(ratios), inf, ratios)))
-    ratio, frequency = float(ratios[index]), float(modes.frequency[index])
-    return Oscillation(ratio, frequency, _hand_of(wall, loops[index]))
+    return {
+        "damping_ratio": float(ratios[index]),
+        "frequency": float(modes.frequency[index]),
+        "least_damped_hand": _hand_of(wall, loops[index]),
+    }
 
 
-def _chatter(_: _Wall, __: list[HapticLoop], amplitude: Amplitudes) -> Chatter:
-    position, force = float(amplitude.position.max()), float(amplitude.force.max())
-    return Chatter(position, force, float(amplitude.force_per_count[0]))
+def _chatter(_: _Wall, __: list[HapticLoop], amplitude: Amplitudes) -> dict[str, Any]:
+    return {
+        "chatter_at_most": float(amplitude.position.max()),
+        "force_chatter_at_most": float(amplitude.force.max()),
+        "force_per_count": float(amplitude.force_per_count[0]),
+    }
 
 
-def _jitter(wall: _Wall, _: list[HapticLoop], margin: Floats) -> Jitter:
+def _jitter(wall: _Wall, _: list[HapticLoop], margin: Floats) -> dict[str, Any]:
     """The range in which the delay may vary above that of the scene, with every hand."""
     controller, extra = wall.scene.controller, float(margin[0])
     if not controller.has_one_delay:  # the margin of the shortest, rounded down, less the range
@@ -488,26 +432,31 @@ def _jitter(wall: _Wall, _: list[HapticLoop], margin: Floats) -> Jitter:
         extra = max(extra * (1.0 - 8.0 * EPS) - spent * (1.0 + 8.0 * EPS), 0.0)
     words = ["beyond the range"] * (not controller.has_one_delay)
     words += ["proved for every hand"] * (extra > 0.0 and hands_of(wall.scene) is not None)
-    return Jitter(extra or nan, ", ".join(words) or None)
+    return {"extra_delay_moving": extra or nan, "moving_is": ", ".join(words) or None}
 
 
 _HORIZON = 2**17  # samples within which settling is looked for
 
 
-def _settlings(loop: HapticLoop, *gains: float) -> list[MotionSettling]:
-    """The settling times of walls to each level."""
-    return [loop.settling_time(*gains, level=level, horizon=_HORIZON) for level in (0.02, 0.05)]
-
-
-_MEASURES: dict[str, tuple[Callable[..., Any], Callable[..., Answer]]] = {
+_MEASURES: dict[str, tuple[Callable[..., Any], Callable[..., dict[str, Any]]]] = {
     "margins": (HapticLoop.margins, _least_margins),
     "frequency": (
         wall_frequency_margins,
-        lambda wall, _, found: frequency_answer(found, in_full=wall.scene.wanted.frequency),
+        lambda wall, _, found: {
+            "margins_over_frequency": frequency_answer(found, in_full=wall.scene.wanted.frequency)
+        },
     ),
-    "distance": (HapticLoop.boundary_distance, lambda *own: Distance(float(own[-1].min()))),
+    "distance": (
+        HapticLoop.boundary_distance,
+        lambda *own: {"distance_to_boundary": float(own[-1].min())},
+    ),
     "radius": (HapticLoop.spectral_radius, _radius),
-    "settling": (_settlings, _longest),
+    "settling": (
+        lambda loop, *gains: [
+            loop.settling_time(*gains, level=level, horizon=_HORIZON) for level in (0.02, 0.05)
+        ],
+        _longest,
+    ),
     "oscillation": (HapticLoop.oscillation, _least_damped),
     "chatter": (HapticLoop.amplitude, _chatter),
     "jitter": (HapticLoop.jitter_margin, _jitter),

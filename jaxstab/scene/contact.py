@@ -26,7 +26,7 @@ from jaxstab.model import LoopParameters
 from jaxstab.numbers import checked, require_kind
 from jaxstab.scene.answers import Answer, Basis, Frequency, Quantity, basis_of
 from jaxstab.scene.labelled import Variable, computed, table_of, xarray_module
-from jaxstab.scene.loops import Floats, hands_of, loop_of, walls_of, with_delay
+from jaxstab.scene.loops import Floats, hands_of, loop_of, walls_of
 from jaxstab.scene.scene import Scene, Units
 from jaxstab.shown import shortened
 
@@ -82,26 +82,18 @@ class Contacts(Answer):
 def simulate_contacts(scene: Scene) -> Contacts:
     """The worst simulated contact with each wall of a scene that says how the device meets it."""
     scene.require_walls()
-    _require_contact(scene)
     return Contacts(basis_of(scene, at_longest=True), scene.device.friction, contacts_of(scene))
 
 
-def _require_contact(scene: Scene) -> None:
-    if scene.contact is None:
-        raise ValueError(
-            f"contact is missing; give contact.push in {scene.units.force}, or contact.speed in "
-            f"{scene.units.length}/s (on the command line --push or --speed)."
-        )
-
-
 def contacts_of(scene: Scene) -> dict[str, Simulated]:
-    """Return the worst simulated contact of each wall; none where none is simulated."""
-    if scene.contact is None or not scene.walls:
-        return {}
-    starts = _starts(scene)
+    """Return the worst simulated contact of each wall."""
+    push, speed = scene.start
+    pairs = dict.fromkeys([(push, 0.0), (0.0, speed), (push, speed)])
+    phases = (0.0, 0.25, 0.5, 0.75) if scene.device.encoder else (0.0,)
+    starts = [(*pair, phase) for pair in pairs if any(pair) for phase in phases]
     gains = np.array([*walls_of(scene).values()]).T[:, :, None]
-    push, speed, phase = np.array(starts).T
-    contact = simulated_map(scene, *gains, push=push, speed=speed, phase=phase)
+    given = dict(zip(("push", "speed", "phase"), np.array(starts).T, strict=True))
+    contact = simulated_map(scene, *gains, **given)
     worst_last = (
         ContactKind.UNTOUCHED,
         ContactKind.OUTSIDE,
@@ -113,7 +105,9 @@ def contacts_of(scene: Scene) -> dict[str, Simulated]:
         ContactKind.PUSHED_THROUGH,
     )
     ranks = np.argsort(worst_last)
-    is_thrown = (contact.kind == ContactKind.OUTSIDE) & (push > 0.0)  # further than what returns
+    is_thrown = (contact.kind == ContactKind.OUTSIDE) & (
+        given["push"] > 0.0
+    )  # further than what returns
     rank = np.where(is_thrown, ranks[ContactKind.BOUNCES - 1], ranks[contact.kind - 1])
     order = (contact.time_to_rest, contact.amplitude, rank)
     worst = np.lexsort(np.nan_to_num(order, posinf=np.finfo(float).max), axis=-1)[:, -1]
@@ -126,7 +120,9 @@ def contacts_of(scene: Scene) -> dict[str, Simulated]:
 
 
 def contacts_or_reasons(scene: Scene) -> Mapping[str, Simulated | str]:
-    """Return ``contacts_of``; for a wall whose contact cannot be simulated, the reason."""
+    """Return ``contacts_of``, if there is any; where one cannot be simulated, the reason."""
+    if scene.contact is None:
+        return {}
     try:
         return contacts_of(scene)
     except ValueError as error:
@@ -140,7 +136,8 @@ def contacts_or_reasons(scene: Scene) -> Mapping[str, Simulated | str]:
 
 def simulated_map(scene: Scene, stiffness: Any, damping: Any, **start: Any) -> Contact:
     """Return the contacts of walls with the device of a scene; by default at its own start."""
-    return contact_map(contact_loop(scene), stiffness, damping, **{**_conditions(scene), **start})
+    given = _conditions(scene) | start
+    return contact_map(loop_of(scene.at_longest_delay), stiffness, damping, **given)
 
 
 def map_contacts(scene: Scene, count: int, friction: list[float] | None = None) -> "Dataset":
@@ -148,10 +145,9 @@ def map_contacts(scene: Scene, count: int, friction: list[float] | None = None) 
 
     ``friction``, in the unit of the scene's force, is a dimension of the table if it is given.
     """
-    _require_contact(scene)
-    loop = contact_loop(scene)
+    conditions, loop = _conditions(scene), loop_of(scene.at_longest_delay)
     walls = walls_around(loop, count, walls_of(scene).values())
-    given = {"stiffness": walls[0], "damping": walls[1][:, 0], **_conditions(scene)}
+    given = {"stiffness": walls[0], "damping": walls[1][:, 0], **conditions}
     if friction is not None:
         if given["static_friction"] is not None:
             raise ValueError(
@@ -163,8 +159,12 @@ def map_contacts(scene: Scene, count: int, friction: list[float] | None = None) 
 
 
 def _conditions(scene: Scene) -> dict[str, Any]:
-    """The contacts of a scene, as arguments of ``contact_map``."""
-    assert scene.contact is not None  # callers look
+    """The contacts of a scene, as arguments of ``contact_map``; ValueError if it has none."""
+    if scene.contact is None:
+        raise ValueError(
+            f"contact is missing; give contact.push in {scene.units.force}, or contact.speed in "
+            f"{scene.units.length}/s (on the command line --push or --speed)."
+        )
     device, controller, given = scene.device, scene.controller, scene.contact
     push, speed = scene.start
     return {
@@ -191,27 +191,13 @@ def walls_around(
     return np.linspace(0.0, stiffness, count + 1)[1:], np.linspace(0.0, damping, count)[:, None]
 
 
-def contact_loop(scene: Scene) -> HapticLoop:
-    """Return the loop whose contacts are simulated: the lightest one with the longest delay."""
-    return loop_of(with_delay(scene, scene.controller.delays[1]))
-
-
-def _starts(scene: Scene) -> list[tuple[float, float, float]]:
-    """Return pushes, speeds and phases of the encoder to try."""
-    push, speed = scene.start
-    pairs = dict.fromkeys([(push, 0.0), (0.0, speed), (push, speed)])
-    phases = (0.0, 0.25, 0.5, 0.75) if scene.device.encoder else (0.0,)
-    return [(*pair, phase) for pair in pairs if any(pair) for phase in phases]
-
-
 def _simulated(scene: Scene, contact: Contact, start: tuple[float, float, float]) -> Simulated:
     push, speed, phase = start
     words = [f"at {speed:g} {scene.units.length}/s"] if speed else []
     words += [f"pushed with {Quantity('N').words(push, scene.units)}"] if push else []
     if scene.device.encoder:
         words.append(f"encoder at {phase:g} of a step")
-    assert scene.contact is not None  # callers look
-    about = [f"{scene.contact.duration:g} s, not proved"]
+    about = [f"{scene.contact.duration:g} s, not proved"] if scene.contact else []
     if not scene.controller.has_one_delay:
         about.append("the longest delay, held constant")
     if hands_of(scene) is not None:
@@ -242,19 +228,19 @@ _VARIABLES = {
     "largest_force": Variable("largest modulus of the wall's force", "N"),
     "energy": Variable("energy that the wall gave to device and hand", "J"),
 }
-_AXES = {  # arguments that may be lists: what they are, and their unit
-    "stiffness": ("stiffness of the virtual wall", "N/m"),
-    "damping": ("damping of the virtual wall", "N s/m"),
-    "friction": ("Coulomb friction", "N"),
-    "static_friction": ("static friction", "N"),
-    "encoder": ("resolution of the encoder", "m"),
-    "phase": ("phase of the encoder, in steps", "1"),
-    "force_step": ("resolution of the force", "N"),
-    "max_force": ("largest force", "N"),
-    "push": ("push of the hand", "N"),
-    "speed": ("speed at the start", "m/s"),
-    "position": ("position at the start", "m"),
-    "tolerance": ("of rest", "m"),
+_AXES = {  # arguments that may be lists
+    "stiffness": Variable("stiffness of the virtual wall", "N/m"),
+    "damping": Variable("damping of the virtual wall", "N s/m"),
+    "friction": Variable("Coulomb friction", "N"),
+    "static_friction": Variable("static friction", "N"),
+    "encoder": Variable("resolution of the encoder", "m"),
+    "phase": Variable("phase of the encoder, in steps", "1"),
+    "force_step": Variable("resolution of the force", "N"),
+    "max_force": Variable("largest force", "N"),
+    "push": Variable("push of the hand", "N"),
+    "speed": Variable("speed at the start", "m/s"),
+    "position": Variable("position at the start", "m"),
+    "tolerance": Variable("of rest", "m"),
 }
 
 
@@ -319,11 +305,10 @@ def plan_contacts(
         max(_LEAST, _BLOCK // samples),
         {},
     )
-    axes = {name: Variable(*_AXES[name]) for name in lists}
     return table.assign_coords(
         {
-            name: (name, lists[name], own._replace(units=units.unit(own.units)).attributes)
-            for name, own in axes.items()
+            name: (name, values, own._replace(units=units.unit(own.units)).attributes)
+            for name, values, own in ((x, values, _AXES[x]) for x, values in lists.items())
         }
     ).assign_attrs(
         title="Simulated contacts with virtual walls; nothing is proved",

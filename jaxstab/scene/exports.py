@@ -21,7 +21,7 @@ import numpy as np
 from jaxstab.atlas import Atlas, AtlasSpec, QueryStatus
 from jaxstab.conventions import Verdict
 from jaxstab.guard import Guard, build_guard
-from jaxstab.guard.build import CELLS, CONSTANT_CELLS, plan_guard
+from jaxstab.guard.build import CELLS, CONSTANT_CELLS
 from jaxstab.guard.guard import LARGEST_HEADER
 from jaxstab.loop import Gains, HapticLoop
 from jaxstab.model import Velocity
@@ -35,10 +35,10 @@ from jaxstab.scene.loops import (
     is_one_mass,
     loop_of,
     loop_of_member,
+    loops_over_delays,
     masses_of,
     range_of_hands,
     walls_of,
-    with_delay,
     with_tolerances,
 )
 from jaxstab.scene.scene import Scene, range_in_words
@@ -46,26 +46,21 @@ from jaxstab.shown import printable
 
 
 def scene_guard(
-    scene: Scene,
-    *,
-    lost: int = 0,
-    progress: Callable[[float], None] | None = None,
-    cells: tuple[int, int, int] | None = None,
+    scene: Scene, *, lost: int, progress: Callable[[float], None], cells: tuple[int, int, int]
 ) -> Guard:
     """The guard of a scene, for its hands, masses and delays: see ``jaxstab.build_guard``.
 
     Of a single mass it covers 0.8 to 1.25 times it. Of a single delay it covers that one to one
     sample more, and one sample less to one sample more if it is constant. For a device with modes,
-    an actuator or a grip it is 0.96 to 1.04, and a tenth of a sample. The cells are by default
-    those of ``build_guard``, a single one of mass and delay for such a device. ``progress`` is
-    called with the completed share of the proof.
+    an actuator or a grip it is 0.96 to 1.04, and a tenth of a sample. ``progress`` is called with
+    the completed share of the proof.
     """
     most = LARGEST_HEADER // 6  # letters of a number with its comma
-    if cells and prod(count + 1 for count in cells) > most:
+    if prod(count + 1 for count in cells) > most:
         raise ValueError(
             f"cells are {','.join(map(str, cells))}; give fewer: the table may have {most} numbers."
         )
-    loop, delays = _loop_of(scene), scene.controller.delays
+    loop, delays = loops_over_delays(scene)[0], scene.controller.delays
     is_constant = scene.controller.delay_is == "constant"
     # What postures may make of the mass; samples beside the delay if it is constant, and beyond it.
     shares, beside = ((0.8, 1.25), 1.0) if is_one_mass(scene) else ((0.96, 1.04), 0.1)
@@ -81,21 +76,12 @@ def scene_guard(
         lost=lost or scene.controller.lost_samples,
         constant_delay=is_constant,
         progress=progress,
-        cells=cells or _cells_of(scene),
+        cells=cells,
     )
 
 
-def guard_plan(scene: Scene, cells: tuple[int, int, int] | None) -> str:
-    """Describe what ``scene_guard`` will compute, and about how long that takes."""
-    return plan_guard(_loop_of(scene), cells or _cells_of(scene))
-
-
-def _loop_of(scene: Scene) -> HapticLoop:
-    """Return the loop of a scene with its shortest delay."""
-    return loop_of(with_delay(scene, scene.controller.delays[0]))
-
-
-def _cells_of(scene: Scene) -> tuple[int, int, int]:
+def cells_of(scene: Scene) -> tuple[int, int, int]:
+    """The usual cells of a guard along mass, delay and damping."""
     if not is_one_mass(scene):
         return 1, 1, 16
     return CONSTANT_CELLS if scene.controller.delay_is == "constant" else CELLS
@@ -184,9 +170,10 @@ def ask_atlas(scene: Scene, atlas: Atlas) -> tuple[dict[str, Any], list[dict[str
     rows = []
     for (name, gains), (corner, view) in product(walls.items(), zip(corners, views, strict=True)):
         answer = view.query(*gains)
-        codes = Verdict(answer.verdict.item()), QueryStatus(answer.status.item())
-        words = dict(zip(("verdict", "status"), (code.name.lower() for code in codes), strict=True))
-        rows.append({"wall": name, **dict(zip(units, (*gains, *corner), strict=True)), **words})
+        row = {"wall": name, **dict(zip(units, (*gains, *corner), strict=True))}
+        row["verdict"] = Verdict(answer.verdict.item()).name.lower()
+        row["status"] = QueryStatus(answer.status.item()).name.lower()
+        rows.append(row)
     stated = GainAnswer({"inputs": basis_of(scene)}).as_json()
     stated["inputs"] |= {"created_by": atlas.created_by}
     stated["units"] |= units
@@ -216,18 +203,16 @@ def certificate(scene: Scene) -> dict[str, Any]:
             "actuator, grip, ranges and filter."
         )
     numbers = {
-        "mass": Fraction(float(loop.device_mass)) + Fraction(float(loop.hand_mass)),
-        "damping": Fraction(float(loop.device_damping)) + Fraction(float(loop.hand_damping)),
-        "stiffness": Fraction(float(loop.hand_stiffness)),
-        "sample_time": Fraction(float(loop.sample_time)),
-        "delay_samples": Fraction(float(loop.delay_samples)),
+        "mass": (loop.device_mass, loop.hand_mass),
+        "damping": (loop.device_damping, loop.hand_damping),
+        "stiffness": (loop.hand_stiffness,),
+        "sample_time": (loop.sample_time,),
+        "delay_samples": (loop.delay_samples,),
     }
+    exact = {name: str(sum(Fraction(float(x)) for x in own)) for name, own in numbers.items()}
     return {
         "format": "jaxstab wall 1",
-        "loop": {
-            **{name: str(number) for name, number in numbers.items()},
-            "velocity": _estimator(loop),
-        },
+        "loop": {**exact, "velocity": _estimator(loop)},
         "walls": {name: _claims(loop, wall) for name, wall in walls_of(scene).items()},
     }
 

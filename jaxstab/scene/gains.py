@@ -36,9 +36,9 @@ from jaxstab.scene.answers import (
     basis_of,
     quantities,
 )
-from jaxstab.scene.check import Radius, frequency_answer
-from jaxstab.scene.limits import AroundWall, Island, numbered, stable_in_words, stable_intervals
-from jaxstab.scene.loops import WallVerdict, device_of, hands_of, loop_of
+from jaxstab.scene.check import WallCheck, frequency_answer
+from jaxstab.scene.limits import AroundWall, numbered, stable_in_words, stable_intervals
+from jaxstab.scene.loops import StiffestWall, WallVerdict, device_of, hands_of, loop_of
 from jaxstab.scene.scene import (
     Controller,
     Device,
@@ -69,13 +69,10 @@ class OtherDevice(Device):
 
     has_options: ClassVar[bool] = False
 
+    # Answers would not say that none is assumed.
+    damping: float = t.key(t.quantity("N s/m"))
     hand: Hand | None = t.key(t.nested(Hand), None)
     delay_samples: float = t.key(t.quantity("samples"), 0.0)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.damping is None:  # answers would not say that none is assumed
-            raise ValueError(f"damping is missing; give it {self.asked('damping')}.")
 
 
 def _loop(table: Any, held: Scene | None) -> tuple[Loop, tuple[float, float]]:
@@ -389,12 +386,14 @@ def _around(scene: GainScene, pair: dict[str, float], *, in_full: bool = False) 
     """The verdict on a pair, and the stable values of each gain at the other one."""
     verdict = scene.verdict(*pair.values())
     values: dict[str, Any] = {**pair, "verdict": verdict}
-    formats: dict[str, Quantity] = {x.name: Quantity(x.unit, GIVEN) for x in scene.loop.gains}
+    own_formats = {x.name: Quantity(x.unit, GIVEN) for x in scene.loop.gains}
+    formats = quantities(WallCheck) | own_formats
     if scene.is_range:
         return GainAnswer(values, formats, verdict == Verdict.STABLE)
     if in_full:
         radius = scene.loop.spectral_radius(**pair)
-        values["radius"] = Radius(float(radius.value), float(radius.error))
+        values["spectral_radius"] = float(radius.value)
+        values["radius_error"] = float(radius.error)
     if in_full and verdict == Verdict.STABLE:
         margins = scene.loop.frequency_margins(**pair)
         values["frequency"] = frequency_answer(margins, in_full=bool(scene.wanted["frequency"]))
@@ -593,7 +592,7 @@ class MeasuredScene:
         return replace(self._shown(values), is_stable=verdict == Verdict.STABLE)
 
     def _shown(self, values: dict[str, Any]) -> GainAnswer:
-        formats = quantities(AroundWall) | quantities(Island) | quantities(WallVerdict)
+        formats = quantities(AroundWall) | quantities(StiffestWall) | quantities(WallVerdict)
         known = {k: v for k, v in values.items() if not (isinstance(v, float) and not isfinite(v))}
         return GainAnswer(
             known, {k: replace(v, unit=self.units.unit(v.unit)) for k, v in formats.items()}

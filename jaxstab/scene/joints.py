@@ -244,7 +244,7 @@ class JointAnswer(Answer):
             return "" if value is None else self._words(name, value, Units.LINE)
         quantity = self._quantity(name)
         unitless = quantity if quantity.unit == "s" else replace(quantity, unit="")
-        return self.absent if isnan(np.sum(value)) else unitless.words(value)
+        return "none" if isnan(np.sum(value)) else unitless.words(value)
 
     def _units(self, units: Units) -> Units:
         return Units.ROTATION if self.motion == "turns" else Units.LINE

@@ -1,9 +1,9 @@
 """The limits of a scene: the largest stiffness and damping, beside the simple rules."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import isfinite, nan
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from jaxstab.region import RegionStatus
 from jaxstab.scene.answers import (
     Answer,
     Basis,
-    Damping,
     DampingLimits,
     GivenDamping,
     GivenStiffness,
@@ -32,8 +31,8 @@ from jaxstab.scene.answers import (
 )
 from jaxstab.scene.loops import (
     BUT_FOR_DRIFT,
-    AllHands,
     Floats,
+    StiffestWall,
     WallVerdict,
     at_lowest,
     delays_of,
@@ -53,15 +52,6 @@ from jaxstab.scene.scene import Scene
 from jaxstab.shown import table_text
 
 _SEE_BELOW = " (all hands: see below)"
-_PROVED = "proved for every"
-
-
-@dataclass(frozen=True)
-class StiffestWall(Answer):
-    """The largest stable stiffness, and where it is reached."""
-
-    largest_stiffness: LargestStiffness
-    at_damping: Damping
 
 
 @dataclass(frozen=True)
@@ -73,60 +63,29 @@ class MostDampedWall(Answer):
 
 
 @dataclass(frozen=True)
-class LinearRule(StiffestWall):
-    """The linear rule's stiffness at the damping of the stiffest wall: it is no limit."""
+class AroundWall(Answer):
+    """The stable stiffnesses at the damping of a wall, or the dampings at its stiffness, or both.
 
-    linear_rule_is: str
-
-
-@dataclass(frozen=True)
-class Island(MostDampedWall, StiffestWall):
-    """Stable walls that are not connected to small gains: unstable ones lie between.
-
-    Without walls of K >= 0 and B >= 0 the limits are those of negative gains.
-    """
-
-    reached: str
-
-
-@dataclass(frozen=True)
-class StiffnessesAtDamping(Answer):
-    """The stable stiffnesses at a damping, and the largest one of the linear rule.
-
-    Of several intervals the one that holds small gains, or a wall, comes first; unstable gains lie
-    between it and the others.
-    """
-
-    at_damping: GivenDamping
-    stiffness_limits: StiffnessLimits
-    other_stiffnesses: dict[str, StiffnessLimits]
-    linear_rule_stiffness: LargestStiffness | None
-
-
-@dataclass(frozen=True)
-class DampingsAtStiffness(Answer):
-    """The stable dampings at a stiffness, as ``StiffnessesAtDamping`` has them."""
-
-    at_stiffness: GivenStiffness
-    damping_limits: DampingLimits
-    other_dampings: dict[str, DampingLimits]
-
-
-@dataclass(frozen=True)
-class AroundWall(DampingsAtStiffness, StiffnessesAtDamping):
-    """The stable stiffnesses at the damping of a wall, and the dampings at its stiffness.
-
+    Of several intervals the one that holds small gains, or the wall, comes first; unstable gains
+    lie between it and the others. ``linear_rule_stiffness`` is the largest one of the linear rule,
     ``exception`` says that the wall is not stable, or not proved, for other hands of the scene.
     """
 
+    at_damping: GivenDamping | None = None
+    stiffness_limits: StiffnessLimits | None = None
+    other_stiffnesses: dict[str, StiffnessLimits] = field(default_factory=dict)
+    linear_rule_stiffness: LargestStiffness | None = None
+    at_stiffness: GivenStiffness | None = None
+    damping_limits: DampingLimits | None = None
+    other_dampings: dict[str, DampingLimits] = field(default_factory=dict)
     verdict: str | None = None
     exception: str | None = None
 
     @property
     def is_within(self) -> bool:
         """True if the wall is within the limits of the hand at its lowest values."""
-        low, high = self.stiffness_limits
-        return low < self.at_stiffness < high
+        low, high = self.stiffness_limits or (nan, nan)
+        return low < (self.at_stiffness or 0.0) < high
 
     @property
     def is_stable(self) -> bool:
@@ -135,75 +94,41 @@ class AroundWall(DampingsAtStiffness, StiffnessesAtDamping):
 
 
 @dataclass(frozen=True)
-class ProvedWall(StiffestWall):
-    """The stiffest proved wall of the search, and a stiffness at its damping proved unstable."""
+class Limits(Answer):
+    """The limits of a scene, with the hand at its lowest values; ``all_hands`` has all of them.
 
-    certainty: str
-    proved_unstable_at: (
-        Annotated[float, Quantity("N/m", infinite="no unstable wall was found there")] | None
-    )
-
-
-@dataclass(frozen=True)
-class LimitsOverDelays(Answer):
-    """The limits of a scene over a range of delays.
-
-    For all hands if the delays are constant; if the delay moves with the hand at its lowest values,
-    and ``all_hands`` has all of them.
+    Over a range of delays that are constant the best wall, the only limit, is for all hands.
     """
 
     inputs: Basis
     safety: Number | None
     hand: str | None
-    best: ProvedWall
-    walls: dict[str, WallVerdict]
-    all_hands: AllHands | None
-
-    @property
-    def all_stable(self) -> bool:
-        """True if a wall is proved, for all hands, and so is each wall of the scene."""
-        if not all(wall.is_stable for wall in self.walls.values()):
-            return False
-        if self.all_hands is not None:
-            return self.all_hands.all_stable
-        return self.best.certainty.startswith(_PROVED) and self.hand is None
-
-
-@dataclass(frozen=True)
-class Limits(Answer):
-    """The limits of a scene, with the hand at its lowest values."""
-
-    inputs: Basis
-    safety: Number | None
-    hand: str | None
     best: StiffestWall
-    most_damped: MostDampedWall
-    reached: str | None
-    islands: dict[str, Island]
-    passive: StiffestWall | None
-    linear_rule: LinearRule | None
-    windows: dict[str, StiffestWall]
-    at_given_damping: StiffnessesAtDamping | None
-    at_given_stiffness: DampingsAtStiffness | None
-    walls: dict[str, AroundWall]
-    all_hands: AllHands | None
+    most_damped: MostDampedWall | None = None
+    reached: str | None = None
+    islands: dict[str, StiffestWall] = field(default_factory=dict)
+    passive: StiffestWall | None = None
+    linear_rule: StiffestWall | None = None
+    windows: dict[str, StiffestWall] = field(default_factory=dict)
+    at_given_damping: AroundWall | None = None
+    at_given_stiffness: AroundWall | None = None
+    walls: Mapping[str, AroundWall | WallVerdict] = field(default_factory=dict)
+    all_hands: StiffestWall | None = None
 
     @property
     def all_stable(self) -> bool:
         """True if there are stable walls, one proved for all hands, and all of the scene are."""
-        is_one = isfinite(self.best.largest_stiffness) and (
-            self.all_hands is None or self.all_hands.all_stable
-        )
-        return is_one and all(wall.is_stable for wall in self.walls.values())
+        every = self.all_hands or self.best, *self.walls.values()
+        return all(wall.is_stable for wall in every)
 
 
-def brief(answer: Limits | LimitsOverDelays, *, islands: bool = False) -> str:
+def brief(answer: Limits, *, islands: bool = False) -> str:
     """Return the estimator, the delay, the largest stiffness and each wall, one on each line."""
     lines, said = answer.inputs.facts(), {path: words for path, _, words in answer.leaves()}
 
     def limit(key: str, *more: str | None) -> str:
         stiffness, damping = said[f"{key}.largest_stiffness"], said[f"{key}.at_damping"]
-        if stiffness == Answer.absent:
+        if stiffness == Quantity.absent:
             return "no stable wall"
         return ", ".join([f"{stiffness} at {damping}", *filter(None, more)])
 
@@ -222,7 +147,7 @@ def brief(answer: Limits | LimitsOverDelays, *, islands: bool = False) -> str:
             lines[f"stable {gain}"] = f"{said[f'{key}.{gain}_limits_low']} at {place}{others}"
     for name, wall in answer.walls.items():
         lines[f"wall {name}"] = _wall_text(wall, f"walls.{name}", said)
-    for name, island in answer.islands.items() if isinstance(answer, Limits) else ():
+    for name, island in answer.islands.items():
         if islands:
             lines[f"island {name}"] = limit(f"islands.{name}", island.reached)
         elif island.largest_stiffness > 0.0 and island.at_damping >= 0.0:
@@ -241,7 +166,7 @@ def _wall_text(wall: WallVerdict | AroundWall, key: str, said: dict[str, str]) -
     exception = f"; {wall.exception}" if wall.exception else ""
     if wall.verdict is not None:
         return f"{gains}, {wall.verdict}{exception}"
-    if isfinite(wall.stiffness_limits[1]):
+    if limits != Quantity.absent:
         others = others_in_words(f"{key}.other_stiffness", said)
         return f"{gains}, {place} the stable range of {limits}{others}{exception}"
     return f"{gains}, where no stiffness is stable"
@@ -263,13 +188,12 @@ def stable_in_words(
     return f"{every if ' to ' in ends else f'no {name}'} at {place}"
 
 
-def scene_limits(scene: Scene) -> Limits | LimitsOverDelays:
+def scene_limits(scene: Scene) -> Limits:
     """The largest stiffness and damping, the linear rule, the passive limit, all hands.
 
     Where a safety is wanted, all limits are multiplied by it, towards small gains, and islands,
     which have no such side, are left out. The linear rule and the passive limit are those of the
-    difference over one sample, and left out for others. Over a range of delays they are those of
-    ``LimitsOverDelays``.
+    difference over one sample, and left out for others.
     """
     if not scene.controller.has_one_delay:
         return _over_delays(scene)
@@ -289,14 +213,16 @@ def scene_limits(scene: Scene) -> Limits | LimitsOverDelays:
         most_damped=MostDampedWall(*rows.most_damped(limits.damping, limits.at_stiffness)),
         reached=None if limits.is_reachable or region.is_empty else "small gains are not stable",
         islands=numbered(
-            Island(*rows.stiffest(*own[:2]), *rows.most_damped(*own[2:4]), isolated)
+            StiffestWall(*rows.stiffest(*own[:2]), *rows.most_damped(*own[2:4]), isolated)
             for own in islands
         ),
         passive=_passive(rows) if has_rules else None,
         linear_rule=(_linear_rule(rows, limits) if has_rules and is_any_stable else None),
         windows=_other_windows(loop, safety) if scene.controller.velocity is None else {},
-        at_given_damping=None if damping is None else rows.at_damping(damping),
-        at_given_stiffness=None if stiffness is None else rows.at_stiffness(stiffness),
+        at_given_damping=None if damping is None else AroundWall(**rows.at_damping(damping)),
+        at_given_stiffness=(
+            None if stiffness is None else AroundWall(**rows.at_stiffness(stiffness))
+        ),
         walls={name: _around(scene, rows, wall) for name, wall in walls_of(scene).items()},
         all_hands=limit_for_all(scene, safety),
     )
@@ -316,7 +242,7 @@ def _around(scene: Scene, rows: "_Rows", wall: Gains) -> AroundWall:
     return replace(found, exception=words)
 
 
-def _over_delays(scene: Scene) -> LimitsOverDelays:
+def _over_delays(scene: Scene) -> Limits:
     """Return the stiffest wall that is proved for a range of delays, and the verdicts on walls."""
     wanted, loops, controller = scene.wanted, loops_over_delays(scene), scene.controller
     walls = walls_of(scene)
@@ -340,11 +266,15 @@ def _over_delays(scene: Scene) -> LimitsOverDelays:
         best, is_proved, _ = wall_for_all(scene, safety)
         every = "hand and constant delay" if hands_of(scene) else every
     tried = "not proved" if best.stiffness > 0.0 else "no wall was found"
-    return LimitsOverDelays(
+    return Limits(
         inputs=basis_of(scene),
         safety=wanted.safety,
         hand=at_lowest(scene, _SEE_BELOW) if controller.moves else None,
-        best=ProvedWall(*best, f"{_PROVED} {every}" if is_proved else tried, unstable),
+        best=StiffestWall(
+            *best,
+            certainty=f"proved for every {every}" if is_proved else tried,
+            proved_unstable_at=unstable,
+        ),
         walls={
             name: verdict
             for name, (verdict, _) in zip(walls, worst_on(scene, [*walls.values()]), strict=True)
@@ -385,25 +315,29 @@ class _Rows:
         soft = 0.0 if self.region.is_empty else 1e-6 * self.region.extent.stiffness
         return bool(self.loop.verdict(stiffness or soft, damping) == Verdict.STABLE)
 
-    def at_damping(self, damping: float, stiffness: float = nan) -> StiffnessesAtDamping:
+    def at_damping(self, damping: float, stiffness: float = nan) -> dict[str, Any]:
         """Return the stable stiffnesses at a damping: first those around one, or small ones."""
         line = self.loop.stiffness_intervals(damping)
         first, *others = stable_intervals(line, self.safety, stiffness)
-        rule = self.linear_rule(damping) if is_plain(self.loop) else None
-        return StiffnessesAtDamping(damping, first, numbered(others), rule)
+        return {
+            "at_damping": damping,
+            "stiffness_limits": first,
+            "other_stiffnesses": numbered(others),
+            "linear_rule_stiffness": self.linear_rule(damping) if is_plain(self.loop) else None,
+        }
 
-    def at_stiffness(self, stiffness: float, damping: float = nan) -> DampingsAtStiffness:
+    def at_stiffness(self, stiffness: float, damping: float = nan) -> dict[str, Any]:
         """Return the stable dampings at a stiffness: first those around one, or small ones."""
         line = self.loop.damping_intervals(stiffness)
         first, *others = stable_intervals(line, self.safety, damping)
-        return DampingsAtStiffness(stiffness, first, numbered(others))
+        names = "at_stiffness", "damping_limits", "other_dampings"
+        return dict(zip(names, (stiffness, first, numbered(others)), strict=True))
 
     def around(self, stiffness: float, damping: float) -> AroundWall:
-        by_damping = self.at_damping(damping, stiffness)
-        by_stiffness = self.at_stiffness(stiffness, damping)
+        """Return both, and the verdict where nothing holds the position."""
+        found = self.at_damping(damping, stiffness) | self.at_stiffness(stiffness, damping)
         code = verdict_with_drift(self.loop, Gains(stiffness, damping))
-        words = BUT_FOR_DRIFT if code == BUT_FOR_DRIFT else None
-        return AroundWall(**vars(by_damping), **vars(by_stiffness), verdict=words)
+        return AroundWall(**found, verdict=BUT_FOR_DRIFT if code == BUT_FOR_DRIFT else None)
 
     def linear_rule(self, damping: float) -> float:
         """Return the largest stiffness of the linear rule at a damping."""
@@ -454,12 +388,12 @@ def inwards(low: float, high: float, safety: float) -> tuple[float, float]:
     return (low, high) if low <= high else (nan, nan)
 
 
-def _linear_rule(rows: "_Rows", limits: WallLimits) -> LinearRule:
+def _linear_rule(rows: "_Rows", limits: WallLimits) -> StiffestWall:
     stiffness = rows.linear_rule(limits.at_damping)
     exact, words = rows.safety * limits.stiffness, "an approximation for small gains"
     if exact > 0.0:
         words += f", here {stiffness / exact:.2g} times the exact limit"
-    return LinearRule(stiffness, limits.at_damping, words)
+    return StiffestWall(stiffness, limits.at_damping, linear_rule_is=words)
 
 
 def passive_walls(loop: HapticLoop) -> Floats:

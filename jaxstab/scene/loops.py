@@ -10,7 +10,7 @@ from functools import partial
 from itertools import product
 from math import isfinite, isnan, nan
 from operator import add
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ from jaxstab.scene.answers import (
     Damping,
     GivenDamping,
     GivenStiffness,
+    LargestDamping,
     LargestStiffness,
     Mass,
     Quantity,
@@ -75,7 +76,14 @@ def loop_of(scene: Scene, hand: OneHand | None = None) -> HapticLoop:
     hand = hand or _lowest_hand(scene)
     _check_scale(scene)
     controller = scene.controller
-    mechanics = _one_mass(scene, hand) if is_one_mass(scene) else {"device": device_of(scene, hand)}
+    mechanics: dict[str, Any] = {}
+    if is_one_mass(scene):
+        mechanics["device_mass"] = hand.device_mass or scene.device.effective_mass[0]
+        mechanics["device_damping"] = scene.device.effective_damping
+        mechanics["hand_mass"], mechanics["hand_stiffness"] = hand.mass, hand.stiffness
+        mechanics["hand_damping"] = hand.damping
+    else:
+        mechanics["device"] = device_of(scene, hand)
     return HapticLoop(
         **mechanics,
         sample_time=controller.sample_time,
@@ -128,23 +136,12 @@ def corner_loops(scene: Scene) -> list[HapticLoop]:
 
 def range_of_hands(scene: Scene) -> HandRange:
     """Return the range of hands; of a scene without a hand, that of no hand."""
-    hand = scene.hand or Hand()
-    return HandRange(mass=hand.effective_mass, stiffness=hand.stiffness, damping=hand.damping)
-
-
-def _one_mass(scene: Scene, hand: OneHand) -> dict[str, float]:
-    return {
-        "device_mass": hand.device_mass or scene.device.effective_mass[0],
-        "device_damping": scene.device.effective_damping,
-        "hand_mass": hand.mass,
-        "hand_damping": hand.damping,
-        "hand_stiffness": hand.stiffness,
-    }
+    mass, stiffness, damping = (scene.hand or Hand()).ranges
+    return HandRange(mass=mass, stiffness=stiffness, damping=damping)
 
 
 def _lowest_hand(scene: Scene) -> OneHand:
-    held = scene.hand or Hand()
-    return OneHand(held.effective_mass[0], held.stiffness[0], held.damping[0])
+    return OneHand(*(low for low, _ in (scene.hand or Hand()).ranges))
 
 
 def device_of(scene: Scene, hand: OneHand | None = None) -> Device:
@@ -222,9 +219,7 @@ def ranges_of(scene: Scene) -> list[tuple[float, float]]:
         )
     return [
         (masses[0] * (1.0 - share), masses[1] * (1.0 + share)),
-        hand.effective_mass,
-        hand.stiffness,
-        hand.damping,
+        *hand.ranges,
         (max(shortest - aside, 0.0), longest + aside),
     ]
 
@@ -262,24 +257,36 @@ def with_delay(scene: Scene, delay: float) -> Scene:
 
 # All hands, masses and delays: verdicts, and the stiffest wall.
 
-_PROVED = "proved for every hand"
 BUT_FOR_DRIFT = "stable but for the position, which nothing holds"
 _DRIFTS = "nothing holds the position of a damper alone; over ranges the rest is not proved"
 
 
 @dataclass(frozen=True)
-class AllHands(Answer):
-    """A wall for all hands of a range, nearly the stiffest, times the safety if one is wanted."""
+class StiffestWall(Answer):
+    """The largest stable stiffness, and where it is reached.
+
+    An island of stable walls has its largest damping, too, and how it is reached; the rule of
+    small gains says that it is no limit. Over ranges it is the largest that is proved, if the
+    certainty says so, and beside it stands a stiffness proved unstable, or the worst hand.
+    """
 
     largest_stiffness: LargestStiffness
     at_damping: Damping
-    certainty: str
-    worst_hand: OneHand
+    largest_damping: LargestDamping | None = None
+    at_stiffness: Stiffness | None = None
+    reached: str | None = None
+    linear_rule_is: str | None = None
+    certainty: str | None = None
+    proved_unstable_at: (
+        Annotated[float, Quantity("N/m", infinite="no unstable wall was found there")] | None
+    ) = None
+    worst_hand: OneHand | None = None
 
     @property
-    def all_stable(self) -> bool:
-        """True if the wall is proved stable for every hand."""
-        return self.certainty.startswith(_PROVED) and isfinite(self.largest_stiffness)
+    def is_stable(self) -> bool:
+        """True if there is such a wall; over ranges by proof."""
+        is_certain = self.certainty is None or self.certainty.startswith("proved")
+        return is_certain and isfinite(self.largest_stiffness)
 
 
 @dataclass(frozen=True)
@@ -336,11 +343,14 @@ def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[tuple[WallVerdict, Ha
         worst = [(one.verdict, one.loop, one.radius) for one in found]
     answers = []
     for gains, (code, held, radius) in zip(walls, worst, strict=True):
-        verdict, drifts = _but_for_drift(code, held, gains)
+        verdict, drifts = code if isinstance(code, str) else Verdict(int(code)), None
+        is_unstable = verdict == Verdict.UNSTABLE
+        if is_unstable and verdict_with_drift(held, gains) == BUT_FOR_DRIFT:
+            verdict, drifts, is_unstable = Verdict.UNDECIDED, _DRIFTS, False
         hand, words = None if is_alone else held_by(held, scene), None
         is_range = not is_alone or "delay" in delays
         tried = drifts or (unproved if is_range and verdict == Verdict.UNDECIDED else None)
-        if delays and verdict == Verdict.UNSTABLE:
+        if delays and is_unstable:
             constant = f"a constant delay of {Quantity('s').words(held.delay)}"
             words = f"{constant}: the motion grows by a factor of {radius:.6g} per sample"
             if scene.controller.moves:
@@ -356,15 +366,6 @@ def verdict_with_drift(loop: HapticLoop, wall: Gains) -> Verdict | str | None:
     triple = partial(ball_triple, loop)
     code = wall_verdict(triple, 0.0, wall.damping, may_drift=True).verdict
     return BUT_FOR_DRIFT if code == Verdict.STABLE else code
-
-
-def _but_for_drift(code: Any, worst: HapticLoop, wall: Gains) -> tuple[Verdict | str, str | None]:
-    """Return the verdict over ranges, and why there is none where the worst loop only drifts."""
-    if isinstance(code, str):
-        return code, None
-    if code == Verdict.UNSTABLE and verdict_with_drift(worst, wall) == BUT_FOR_DRIFT:
-        return Verdict.UNDECIDED, _DRIFTS
-    return Verdict(int(code)), None
 
 
 def loops_over_delays(scene: Scene) -> list[HapticLoop]:
@@ -388,15 +389,17 @@ def ranges_of_all(scene: Scene) -> dict[str, Any]:
     return {"hands": range_of_hands(scene), "mass": masses_of(scene), **delays_of(scene)}
 
 
-def limit_for_all(scene: Scene, safety: float) -> AllHands | None:
+def limit_for_all(scene: Scene, safety: float) -> StiffestWall | None:
     """The limit for all hands of a scene; None where neither the hand nor the mass varies."""
     if hands_of(scene) is None:
         return None
     best, is_proved, limiting = wall_for_all(scene, safety)
-    proved = _PROVED + ("" if masses_of(scene) is None else f" and {scene.units.moved}")
+    proved = "proved for every hand"
+    proved += "" if masses_of(scene) is None else f" and {scene.units.moved}"
     proved += " and every sequence of delays" if scene.controller.moves else ""
     tried = "no wall was found" if isnan(best.stiffness) else "not proved"
-    return AllHands(*best, proved if is_proved else tried, held_by(limiting, scene))
+    certainty, worst = proved if is_proved else tried, held_by(limiting, scene)
+    return StiffestWall(*best, certainty=certainty, worst_hand=worst)
 
 
 def wall_for_all(scene: Scene, safety: float) -> tuple[Gains, bool, HapticLoop]:

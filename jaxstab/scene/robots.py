@@ -63,7 +63,8 @@ def joints_of(model: Any, postures: int) -> dict[str, Joint]:
     no_springs, no_dampers = (_is_off(model, name) for name in ("SPRING", "DAMPER"))
     for index, (name, kind) in enumerate(zip(_names(model), model.jnt_type.tolist(), strict=True)):
         place = model.jnt_dofadr[index]
-        gains, damping = _actuators(model, index)
+        (kp, kd), damping = _actuators(model, index)
+        negative = f"its actuators have kp = {kp:g} and kd = {kd:g}; give gains of 0 or more"
         joints[name] = Joint(
             kind != mujoco.mjtJoint.mjJNT_SLIDE,
             float(least[place]),
@@ -71,9 +72,9 @@ def joints_of(model: Any, postures: int) -> dict[str, Joint]:
             0.0 if no_dampers else float(model.dof_damping[place]) + damping,
             0.0 if no_springs else float(model.jnt_stiffness[index]),
             float(model.dof_frictionloss[place]),
-            gains,
+            (kp, kd),
             reasons.get(index),
-            servos.get(index) or _negative(gains),
+            servos.get(index) or (negative if min(kp, kd) < 0.0 else None),
         )
     return joints
 
@@ -88,12 +89,6 @@ def _names(model: Any) -> list[str]:
             name += " (no name)"
         names.append(name)
     return names
-
-
-def _negative(gains: PD) -> str | None:
-    kp, kd = gains
-    words = f"its actuators have kp = {kp:g} and kd = {kd:g}; give gains of 0 or more"
-    return words if min(gains) < 0.0 else None
 
 
 def _is_off(model: Any, part: str) -> bool:
@@ -114,10 +109,13 @@ def _acting(model: Any) -> np.ndarray:
 
 def _actuators(model: Any, joint: int) -> tuple[PD, float]:
     """The gains of the position and velocity actuators of a joint, and the damping they add."""
+    import mujoco
+
     own = _at_joints(model) & (model.actuator_trnid[:, 0] == joint) & _acting(model)
+    has_bias = np.equal(model.actuator_biastype, int(mujoco.mjtBias.mjBIAS_AFFINE))
     gear = model.actuator_gear[own, 0] ** 2  # of the angle, and of the torque
     damping = getattr(model, "actuator_damping", np.zeros(len(own)))[own]  # new versions have it
-    kp, kd = -(gear * _has_bias(model)[own]) @ model.actuator_biasprm[own, 1:3]
+    kp, kd = -(gear * has_bias[own]) @ model.actuator_biasprm[own, 1:3]
     return (float(kp) + 0.0, float(kd) + 0.0), float(gear @ damping)
 
 
@@ -126,12 +124,6 @@ def _at_joints(model: Any) -> np.ndarray:
 
     places = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
     return np.isin(model.actuator_trntype, [*map(int, places)])
-
-
-def _has_bias(model: Any) -> np.ndarray:
-    import mujoco
-
-    return np.equal(model.actuator_biastype, int(mujoco.mjtBias.mjBIAS_AFFINE))
 
 
 def _other_servos(model: Any) -> dict[int, str]:

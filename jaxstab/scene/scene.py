@@ -294,14 +294,19 @@ class Hand(t.Table):
         return self.inertia or self.mass
 
     @property
+    def ranges(self) -> tuple[tuple[float, float], ...]:
+        """The ranges of mass or inertia, stiffness and damping."""
+        return self.effective_mass, self.stiffness, self.damping
+
+    @property
     def varies(self) -> bool:
         """True for more than one hand."""
-        return any(low < high for low, high in (self.effective_mass, self.stiffness, self.damping))
+        return any(low < high for low, high in self.ranges)
 
     @property
     def is_there(self) -> bool:
         """True if a hand of the range does anything."""
-        return any(high for _, high in (self.effective_mass, self.stiffness, self.damping))
+        return any(high for _, high in self.ranges)
 
 
 # The velocity estimator and the position filter of a scene, as tables of a file.
@@ -641,7 +646,14 @@ class Scene:
                     "device.response is measured and no model, which this answer needs; limits "
                     "and check answer, and jaxstab identify fits a model to a log."
                 )
-            return cls(**_tables(table))
+            t.check_keys("", table, [*TABLES, "walls"])
+            given = {"device": {}, "controller": {}, **table}  # which must not be left out
+            tables: dict[str, Any] = {
+                name: kind.from_table(given[name], name)
+                for name, kind in TABLES.items()
+                if name in given
+            }
+            return cls(**tables, walls=walls_in(table.get("walls", {})))
         except ValueError as error:
             device = table.get("device")
             turns = isinstance(device, Mapping) and "inertia" in device
@@ -717,15 +729,6 @@ INNER: Mapping[str, type[t.Table]] = {
     "position": PositionTable,
 }
 """The tables in those of a scene, by their keys."""
-
-
-def _tables(table: Mapping[str, Any]) -> dict[str, Any]:
-    t.check_keys("", table, [*TABLES, "walls"])
-    given = {"device": {}, "controller": {}, **table}  # which must not be left out
-    tables: dict[str, Any] = {
-        name: kind.from_table(given[name], name) for name, kind in TABLES.items() if name in given
-    }
-    return tables | {"walls": walls_in(table.get("walls", {}))}
 
 
 def walls_in(table: Any) -> dict[str, Wall]:

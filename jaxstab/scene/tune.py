@@ -74,8 +74,6 @@ class SlowestLoop(Answer):
 class WallOverRanges(Answer):
     """The wall whose longest settling time over the ranges is the least that was found."""
 
-    absent = "not proved"
-
     stiffness: GivenStiffness | None
     damping: GivenDamping | None
     settling_time_at_worst: SettlingTime | None
@@ -145,8 +143,6 @@ def _between(ranges: list[tuple[float, float]]) -> list[Member]:
 @dataclass(frozen=True)
 class RoundedWall(Answer):
     """Rounded gains, and the radius and settling time that these gains have."""
-
-    absent = "not proved"
 
     stiffness: GivenStiffness
     damping: GivenDamping
