@@ -10,6 +10,7 @@ import os
 import sys
 from collections import defaultdict, deque
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache, partial, wraps
 from itertools import chain, islice, pairwise
 from math import prod
@@ -123,16 +124,25 @@ def _size(arrays: list[Any]) -> int:
 
 
 def in_float64(function: Callable[..., Result], *arguments: Any, **options: Any) -> Result:
-    """Call a JAX function in float64, whatever its flags say; NumPy arrays in and out.
-
-    What users forbid their own code is no fault of ours: NaN and infinity are answers, and NumPy's
-    rules of promotion hold for both namespaces.
-    """
+    """Call a JAX function in float64, whatever its flags say; NumPy arrays in and out."""
     # The arrays that come back share the memory of XLA and are read-only.
-    import jax
     import jax.numpy as jnp
 
     namespace()  # tells JAX of our pytrees
+    with own_settings():
+        arrays = tree_map(lambda leaf: leaf if np.ndim(leaf) == 0 else jnp.asarray(leaf), arguments)
+        result: Result = tree_map(np.asarray, function(*arrays, **options))
+    return result
+
+
+@contextmanager
+def own_settings() -> Iterator[None]:
+    """Set JAX as our programs need it: what users forbid their own code is no fault of ours.
+
+    NaN and infinity are answers, and NumPy's rules of promotion hold for both namespaces.
+    """
+    import jax
+
     with (
         jax.enable_x64(True),
         jax.debug_nans(False),
@@ -141,9 +151,7 @@ def in_float64(function: Callable[..., Result], *arguments: Any, **options: Any)
         jax.numpy_rank_promotion("allow"),
         jax.transfer_guard("allow"),
     ):
-        arrays = tree_map(lambda leaf: leaf if np.ndim(leaf) == 0 else jnp.asarray(leaf), arguments)
-        result: Result = tree_map(np.asarray, function(*arrays, **options))
-    return result
+        yield
 
 
 def on_few_sizes(function: Callable[..., Result], *arguments: Any) -> Result:
