@@ -9,7 +9,7 @@ for ``jaxstab.point``.
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Complex128, Float64
@@ -24,8 +24,6 @@ from jaxstab.numbers import checked_number, checked_word
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-Answer = TypeVar("Answer")
 
 _FEW = 100  # pairs of gains, which balls answer one by one
 
@@ -107,8 +105,8 @@ class TwoGains:
             radii: point.SpectralRadius
             radii = self._on_grid("spectral_radius", self._in_units(*pair.values()))
             return radii
-        found = np.transpose(_each(grid, lambda *own: exact.spectral_radius(self._triple, *own)))
-        value, error, status = np.reshape(found, (3, *grid.shape[:-1]))
+        found = [exact.spectral_radius(self._triple, *own) for own in grid.reshape(-1, 2).tolist()]
+        value, error, status = np.reshape(np.transpose(found), (3, *grid.shape[:-1]))
         return point.SpectralRadius(value, error, named(status.astype(np.int8), RadiusStatus))
 
     def poles(self, *wall: Numbers, **gains: Numbers) -> Complex128[Array, "*grid pole"]:
@@ -130,7 +128,8 @@ class TwoGains:
         pair = self._named(wall, gains)
         grid = self._few(pair)
         if grid is not None:
-            values = _each(grid, lambda *own: exact.poles(self._triple, *own).values)
+            every = grid.reshape(-1, 2).tolist()
+            values = [exact.poles(self._triple, *own).values for own in every]
             if not np.any(np.isnan(values)):
                 return np.reshape(values, (*grid.shape[:-1], -1))
         found: Array = self._on_grid("closed_loop_poles", self._in_units(*pair.values()))
@@ -337,10 +336,5 @@ class TwoGains:
         return wall_frequency_margins(self, first, second)
 
     def _verdicts(self, grid: Float64[np.ndarray, "*grid 2"]) -> Any:
-        return np.array(_each(grid, self._verdict), np.int8).reshape(grid.shape[:-1])
-
-
-def _each(
-    grid: Float64[np.ndarray, "*grid 2"], question: Callable[[float, float], Answer]
-) -> list[Answer]:
-    return [question(*pair) for pair in grid.reshape(-1, 2).tolist()]
+        codes = [self._verdict(*own) for own in grid.reshape(-1, 2).tolist()]
+        return np.array(codes, np.int8).reshape(grid.shape[:-1])

@@ -33,9 +33,11 @@ from jaxstab.loop.frequency import AtFrequency, FrequencyMargins
 from jaxstab.loop.region import WallLimits
 from jaxstab.model import LoopParameters
 from jaxstab.model.device.discrete import MeasuredResponse
+from jaxstab.model.filters import NO_FILTERS, known_filters
 from jaxstab.model.parameters import wall_grid
 from jaxstab.numbers import without_noise
 from jaxstab.region import RegionStatus
+from jaxstab.region.closed_form import responses_at
 
 _FULL = 0.98  # of half of the sampling rate: a response up to there has no rest
 _WHOLE = 1e-9  # of a sample
@@ -121,22 +123,20 @@ class MeasuredLoop(NamedTuple):
                 "delay of whole samples."
             )
         points = np.concatenate([hertz, [0.0], np.linspace(hertz[-1], half, 64)])
-        lags = np.exp(-2j * pi * period * points)
-        smooth = _passed(lags, loop.position.stages(period) if loop.position else [])
-        samples, stages = loop.velocity.stages(period) if loop.velocity else (1, [])
-        rates = (1.0 - lags**samples) / (samples * period) * _passed(lags, stages)
+        filters = known_filters(**loop.filters) or NO_FILTERS
+        smooth, rates = responses_at(filters, 2.0 * pi * period * points)
         order = int(np.argmax((response[0] * 1j ** np.arange(3)).real))
         count, is_full = len(hertz), hertz[-1] >= _FULL * half
         sizes = [0.0 if is_full else float(abs(own[count:]).max()) for own in (smooth, rates)]
         rest = 0.0 if order else -1.0 / abs(response[0])
         return cls(
             hertz,
-            response * lags[:count] ** round(delay),
+            response * np.exp(-2j * pi * period * round(delay) * hertz),
             error,
-            (smooth[:count], rates[:count]),
+            (smooth[:count], rates[:count] / period),
             order,
             float(rest / smooth[count].real),
-            (sizes[0], sizes[1]),
+            (sizes[0], sizes[1] / period),
         )
 
     def opened(self, walls: Float64[np.ndarray, "wall 2"]) -> Complex128[np.ndarray, "wall point"]:
@@ -334,11 +334,3 @@ def measured(loop: LoopParameters) -> MeasuredLoop | None:
 def _least(values: Places, places: Places) -> tuple[float, float]:
     """The least of some values and its place; infinite if there is none."""
     return min(zip(values.tolist(), places.tolist(), strict=True), default=(inf, nan))
-
-
-def _passed(lags: Values, stages: list[Any]) -> Values:
-    """A chain of filters at some values of 1/z."""
-    gains = np.ones_like(lags)
-    for above, below in stages:
-        gains *= np.polyval(above[::-1], lags) / np.polyval(below[::-1], lags)
-    return gains
