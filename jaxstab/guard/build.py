@@ -324,8 +324,10 @@ def _checked_jitter(
         low, high = two_ends(name, ends, 0.0)
         if not (low < high or (may_be_one and low == high)) or (name == "mass" and low == 0.0):
             raise ValueError(f"{name} is {ends}; give the lower end first, then a higher one.")
+    if np.shape(cells) != (3,):
+        raise TypeError(f"cells are {cells}; give three numbers: along mass, delay and damping.")
     for count in cells:
-        if count < 1 or count & (count - 1):
+        if checked_count("cells", count, 1) & (count - 1):
             raise ValueError(f"cells are {cells}; give powers of two.")
     if constant_delay:
         if lost:

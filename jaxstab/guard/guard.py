@@ -109,19 +109,13 @@ class Guard:
         floats = [real_numbers(*pair).astype(np.float64) for pair in given.items()]
         values = np.broadcast_arrays(*floats)
         damping_, *place = (value.ravel() for value in values)
-        ends = (self.mass, self._delays)
-        inside = np.ones(damping_.shape, bool)
-        index = np.zeros((2, damping_.size))
-        for row, value, (low, high), count in zip(
-            index, place, ends, self.grid.cells, strict=False
-        ):
-            inside &= (value >= low) & (value <= high)
-            if low < high:
-                row += (value - low) * (count / (high - low))
-        index = np.where(inside, index, 0.0)
+        low, high = np.transpose([self.mass, self._delays])[..., None]
+        counts = np.array(self.grid.cells[:2])[:, None]
+        inside = np.all((place >= low) & (place <= high), axis=0)
+        steps = (place - low) * (counts / np.where(low < high, high - low, np.inf))
+        index = np.where(inside, steps, 0.0)
         top = interpolated(self.grid.top, index)
-        last = np.array(self.grid.cells[:2])[:, None] - 1
-        cell = tuple(np.minimum(index.astype(int), last))
+        cell = tuple(np.minimum(index.astype(int), counts - 1))
         lowest, highest = top * (self.rows[cell].T / self.grid.cells[2])
         inside &= (damping_ >= lowest) & (damping_ <= highest * rounded) & (lowest < highest)
         row = np.where(inside, np.minimum(damping_ / top, 1.0) * self.grid.cells[2], 0.0)

@@ -45,7 +45,7 @@ from jaxstab.model.device.parts import working_precision
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.model.parameters import checked_gain, wall_grid
 from jaxstab.motion.settling import SettlingTime, checked_level, settled_answer
-from jaxstab.numbers import checked_count, checked_number, require_together
+from jaxstab.numbers import checked_count, checked_number, require_together, two_ends
 from jaxstab.region.pieces import NO_BRANCH
 from jaxstab.region.region import region_of
 from jaxstab.region.stable_set import RegionStatus
@@ -237,8 +237,9 @@ class Loop(TwoGains):
             [2, 1, 2]
         """
         pair = self._named((), gains)
-        codes = self._codes(pair)
-        if self._few(pair) is None and not is_jax(codes):
+        grid = self._few(pair)
+        codes = self._codes(pair) if grid is None else self._verdicts(grid)
+        if grid is None and not is_jax(codes):
             codes, grid = np.array(codes), wall_grid(**pair)
             for place in np.flatnonzero(codes == Verdict.UNDECIDED):
                 codes.flat[place] = self._verdict(*grid.reshape(-1, 2)[place].tolist())
@@ -538,12 +539,12 @@ def _over_leading(gains: tuple[Gain, Gain], chart: Coordinates) -> tuple[Gain, G
 def _coefficient(name: str, value: Any) -> Coefficient:
     if isinstance(value, Fraction):
         return value
-    if isinstance(value, tuple):
-        low, high = (checked_number(name, end) for end in value)
-        if not low <= high:
-            raise ValueError(f"{name} is {value}; give (lowest, highest).")
-        return (low, high)
-    return checked_number(name, value)
+    if not isinstance(value, tuple):
+        return checked_number(name, value)
+    low, high = two_ends(name, value)
+    if not low <= high:
+        raise ValueError(f"{name} is {value}; give (lowest, highest).")
+    return low, high
 
 
 def _units(chart: AffineParts) -> tuple[float, float]:

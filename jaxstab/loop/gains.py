@@ -315,10 +315,7 @@ class TwoGains:
         return _ON_GRIDS[question](*units, self._pairs, **options)
 
     def _codes(self, pair: Mapping[str, Any], **options: Any) -> Any:
-        """Verdicts; of many gains UNDECIDED where float64, in units, changes the sign of p(1)."""
-        grid = self._few(pair)
-        if grid is not None:
-            return self._verdicts(grid)
+        """Verdicts on many gains; UNDECIDED where float64, in units, changes the sign of p(1)."""
         units = self._in_units(*pair.values())
         codes = self._on_grid("verdict", units, **options)
         if self._only_few:  # JAX traces gains that are not those of the chart

@@ -26,7 +26,7 @@ from jaxstab.loop.jitter import MovingLoop
 from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
 from jaxstab.model.balls import ball_triple
 from jaxstab.model.device.parts import MassSpringDamper, Modes
-from jaxstab.numbers import checked_number
+from jaxstab.numbers import two_ends
 from jaxstab.region import RegionStatus
 from jaxstab.shown import rounded_text
 
@@ -82,8 +82,8 @@ class LoopsWithHands:
         device = self.loop.held_device
         checked_range(self.hands, self.mass, device)
         if self.delay is not None:
-            ends = [checked_number("delay", end, 0.0, unit="s") for end in self.delay]
-            if not ends[0] <= ends[1]:
+            low, high = two_ends("delay", self.delay, 0.0, unit="s")
+            if low > high:
                 raise ValueError(f"delay is {self.delay}; give the shortest one first.")
         if len(device.hands) > 1:
             raise ValueError(

@@ -495,7 +495,9 @@ class HapticLoop(LoopParameters, TwoGains):
             return self._moving(delays, lost).verdict(stiffness, damping)
         if found := measured(self):
             return found.verdict(stiffness, damping)
-        codes = self._codes({"stiffness": stiffness, "damping": damping}, resolve=resolve)
+        pair = {"stiffness": stiffness, "damping": damping}
+        grid = self._few(pair)
+        codes = self._codes(pair, resolve=resolve) if grid is None else self._verdicts(grid)
         return named(codes, Verdict)
 
     def margins(self, stiffness: Numbers, damping: Numbers) -> Margins:
