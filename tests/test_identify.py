@@ -107,6 +107,17 @@ def test_intervals_of_a_loop_that_diverges_contain_the_truth(seed: int) -> None:
     assert found.delay.low <= device.delay <= found.delay.high
 
 
+def test_a_search_that_does_not_end_is_told(tmp_path: Path) -> None:
+    """The log grows to kilometers within two seconds."""
+    log = simulated(Pushed(mass=0.2, spring=2400.0), 2000, 0)
+    assert "the best fit was not found in 100 steps" in identified(Pushed(), log).warning
+    path = tmp_path / "log.csv"
+    path.write_text(as_csv(log))
+    scene = Scene.from_table(parsed(run("identify", path, "-o", "-").stdout))
+    low, high = scene.device.effective_mass
+    assert low == high
+
+
 @pytest.mark.parametrize(("rows", "delay"), [(5, -3.63e-3), (2, -0.63e-3), (1, 0.37e-3)])
 def test_columns_that_are_shifted_in_time_are_told(rows: int, delay: float) -> None:
     """A force is logged some rows later than the position that was read with it."""

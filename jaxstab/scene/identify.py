@@ -6,24 +6,24 @@ The model is one mass behind a zero-order hold and a delay,
 
 with a constant force c (gravity, an offset of the amplifier), read by an encoder. Between arrivals
 of forces its motion is exact, sticking included (``jaxstab.motion.contact``). The fit compares
-positions, simulated with measured (output error). The log is cut into segments, each with an
-initial position and velocity of its own, so that what the model lacks does not add up over the log.
+positions, simulated with measured (output error), in segments, each with an initial position and
+velocity of its own, so that what the model lacks does not add up over the log.
 
 The start is a linear regression: the equation of motion is multiplied by bumps of 40 ms and
-integrated by parts, so that only the sign of the velocity needs a derivative of the positions; of
-all whole delays below 100 samples the one with the smallest residual is taken. Then
-``scipy.optimize.least_squares`` refines the values and the initial states together. A segment's
-derivatives (differences of simulations that run side by side) and its residual are rotated into
-as many rows as there are columns: what a sum of squares depends on is kept.
+integrated by parts, so that only the sign of the velocity needs a derivative of the positions. Of
+all whole delays below 100 samples the best is taken, and the slope of the delayed force tells the
+rest of the delay. It matters: where a loop diverges, steps of Gauss and Newton from a delay that
+is wrong by a quarter of a sample follow a long bent valley. Derivatives are differences of
+simulations that run side by side. By a QR decomposition each segment's derivatives and residual
+become as many rows as columns, which is all that a sum of squares depends on, and its initial
+state is eliminated.
 
 Rounding and friction leave residuals that are not white and depend on the motion: intervals of
-white noise, or of noise with the correlations of the residual, contain the truth in 80 to 95 of
-100 logs. The covariance is therefore the jackknife's over segments (Efron, Stein 1981), from the
-Jacobian: with J_s the rows of segment s less what its initial state explains, A_s = J_s' J_s, A
-their sum and g_s = J_s' r_s, leaving the segment out moves the estimate by (A - A_s)^-1 g_s.
-Intervals are Student's, with one degree of freedom fewer than there are segments. Where one segment
-tells more than all others, as of a loop that diverges, the jackknife compares nothing. So no
-interval is narrower than that of white noise.
+white noise, or of noise with the correlations of the residual, contain the truth in 60 to 95 of 100
+logs. The covariance is therefore the jackknife's over segments (Efron, Stein 1981), from the
+Jacobian: with J_s the rows of segment s, A_s = J_s' J_s, A their sum and g_s = J_s' r_s, leaving
+the segment out moves the estimate by (A - A_s)^-1 g_s. Intervals are Student's, with one degree of
+freedom fewer than there are segments; none is narrower than that of white noise.
 
 An encoder reads multiples of a step, which the smallest difference of two readings tells. The
 velocity that software logs beside it follows from the readings, by a window or a low pass: each
@@ -94,6 +94,9 @@ class Estimate(NamedTuple):
     def times(self, factor: float, least: float = -inf) -> "Estimate":
         """Return the estimate in another unit, all three values at least ``least``."""
         return Estimate(*(max(factor * end, least) for end in self))
+
+
+_NONE = Estimate(0.0, 0.0, 0.0)  # of what is not fitted
 
 
 @dataclass(frozen=True, repr=False)
@@ -181,8 +184,8 @@ def identify(
     """
     fewest, most = 2000, 64_000  # rows
     period = checked_number("sample_time", sample_time, 0.0, is_open=True, unit="s")
-    given = {"force": force, "position": position, "velocity": velocity}
-    given = {name: x for name, x in given.items() if x is not None or name != "velocity"}
+    given = {"force": force, "position": position}
+    given |= {} if velocity is None else {"velocity": velocity}
     columns = {name: np.ravel(checked(name, x)) for name, x in given.items()}
     forces, positions = columns["force"], columns["position"]
     for name, column in columns.items():
@@ -209,8 +212,8 @@ def identify(
             "estimates, or none."
         )
     middle = float(positions.mean())
-    estimates, *paths = _fit(forces, (positions - middle) / unit, period, spring)
-    measured, fitted = (middle + unit * path for path in paths)
+    estimates, measured, fitted, doubt = _fit(forces, (positions - middle) / unit, period, spring)
+    measured, fitted = middle + unit * measured, middle + unit * fitted
     residual, spread = _rms(measured - fitted), float(np.std(positions))
     misfit = 0.1  # of the motion: a log with a larger residual is refused
     if not residual < misfit * spread:
@@ -227,8 +230,8 @@ def identify(
             f"the log does not separate the mass from damping and friction: it is {mass.low:.3g} "
             f"to {mass.high:.3g}; {_EXCITE}."
         )
-    estimator = _estimator(positions, columns.get("velocity"), period)
-    return _identified([mass, *others], period, resolution, extent, estimator, measured, fitted)
+    told = _estimator(positions, columns.get("velocity"), period), doubt
+    return _identified([mass, *others], period, resolution, extent, *told, measured, fitted)
 
 
 def identify_servo(
@@ -321,15 +324,9 @@ def identify_servo(
     spread = np.sqrt(np.diag(np.linalg.pinv(found.jac.T @ found.jac)) * 2.0 * found.cost / free)
     values, half = found.x * sizes, stdtrit(free, 0.975) * spread * abs(sizes)
     mass, damping, late, _ = map(Estimate, values, values - half, values + half)
-    every = [
-        mass,
-        damping,
-        Estimate(0.0, 0.0, 0.0),
-        Estimate(0.0, 0.0, 0.0),
-        late.times(period, 0.0),
-    ]
-    paths = measured[None], fitted[None]
-    return _identified(every, period, resolution, abs(step), (velocity, nan), *paths)
+    every = [mass, damping, _NONE, _NONE, late.times(period, 0.0)]
+    told, paths = ((velocity, nan), ""), (measured[None], fitted[None])
+    return _identified(every, period, resolution, abs(step), *told, *paths)
 
 
 def _is_determined(found: Any, lowest: list[Any], highest: list[Any]) -> bool:
@@ -349,33 +346,23 @@ def _identified(
     resolution: float | None,
     extent: float,
     estimator: tuple[Velocity | None, float],
+    doubt: str,
     measured: Segments,
     fitted: Segments,
 ) -> Identified:
     """The answer, with what the residual says of it; ``extent`` is that of the motion."""
-    mass, damping, friction, offset, delay, stiffness = [*estimates, Estimate(0.0, 0.0, 0.0)][:6]
+    mass, damping, friction, offset, delay, stiffness = [*estimates, _NONE][:6]
+    damping, friction = damping.times(1.0, 0.0), friction.times(1.0, 0.0)
     _warn_of_units(mass.value, period)
-    doubts = [_doubt(measured - fitted, resolution, extent, period)]
+    doubts = [_doubt(measured - fitted, resolution, extent, period), doubt]
     if delay.high < 0.0:
         doubts.append(
             f"positions are {-1e3 * delay.value:.3g} ms ahead of the forces that cause them: "
             "columns are shifted in time; log force and position of the same sample in one row"
         )
-    return Identified(
-        mass,
-        damping.times(1.0, 0.0),
-        friction.times(1.0, 0.0),
-        offset,
-        stiffness,
-        delay,
-        period,
-        resolution,
-        _rms(measured - fitted),
-        "; ".join(filter(None, doubts)),
-        *estimator,
-        measured,
-        fitted,
-    )
+    values = mass, damping, friction, offset, stiffness, delay, period, resolution
+    told = _rms(measured - fitted), "; ".join(filter(None, doubts)), *estimator
+    return Identified(*values, *told, measured, fitted)
 
 
 def _rms(values: Any) -> float:
@@ -460,8 +447,11 @@ def _start(
 
 def _fit(
     forces: Rows, positions: Rows, period: float, spring: bool
-) -> tuple[list[Estimate], Segments, Segments]:
-    """Estimates in the order of ``_start``, for a sampling period of 1; measured, fitted paths."""
+) -> tuple[list[Estimate], Segments, Segments, str]:
+    """Estimates in the order of ``_start``, for a sampling period of 1, measured and fitted paths.
+
+    And a warning, if the search did not end.
+    """
     start, speeds = _start(forces, positions, period, spring)
     inside = len(positions) - HISTORY
     count = int(np.clip(inside // 500, 16, 64))  # of about 500 rows
@@ -474,26 +464,27 @@ def _fit(
     way, push, mass = 1.0 + np.ptp(measured, axis=1), np.std(forces), start[0]
     sizes = [mass, mass / length, push, push, 1.0, mass / length**2][: len(start)]
     every = np.hstack([np.outer(way, [1.0, 1.0 / length]), np.tile(sizes, (count, 1))])
-    unknowns, fitted, rows = _refined(begin, every, measured, pushes)
+    unknowns, fitted, rows, doubt = _refined(begin, every, measured, pushes)
     values = unknowns[0, 2:]
     half = stdtrit(count - 1, 0.975) * np.sqrt(_variances(rows, measured.size)) * sizes
-    return list(map(Estimate, values, values - half, values + half)), measured, fitted
+    return list(map(Estimate, values, values - half, values + half)), measured, fitted, doubt
 
 
 @np.errstate(all="ignore")  # a try may grow beyond all numbers
 def _refined(
     begin: Unknowns, sizes: Unknowns, measured: Segments, pushes: Pushes
-) -> tuple[Unknowns, Segments, Float64[np.ndarray, "segment row column"]]:
-    """Unknowns with the least sum of squares, their paths, and derivatives and residuals there.
+) -> tuple[Unknowns, Segments, Float64[np.ndarray, "segment row column"], str]:
+    """Unknowns with the least sum of squares, their paths, derivatives and residuals; a warning.
 
     By steps of Gauss and Newton, halved where the sum grows. The initial states are eliminated
     segment by segment: their columns are the first.
     """
     number, nudge = begin.shape[1], 1e-7  # of a size: the differences for derivatives
     nudges = nudge * np.eye(number + 1, number, -1)[:, None]  # the first is none
-    best = trial = begin / sizes
-    least, step, shortest = inf, np.zeros_like(trial), 1e-10
-    for _ in range(100):
+    best, doubt = begin / sizes, ""
+    trial = best
+    least, step, shortest, most = inf, np.zeros_like(trial), 1e-10, 100
+    for _ in range(most):
         trial[:, 6] = np.clip(trial[:, 6], -AHEAD, HISTORY - 1.0)  # the delay
         path, *moved = _paths((trial + nudges) * sizes, pushes)
         columns = [*(np.array(moved) - path) / nudge, path - measured]
@@ -513,7 +504,9 @@ def _refined(
             if np.max(abs(step)) < shortest:
                 break
         trial = best + step
-    return best * sizes, fitted, rows
+    else:
+        doubt = f"the best fit was not found in {most} steps, so intervals do not hold"
+    return best * sizes, fitted, rows, doubt
 
 
 def _variances(
