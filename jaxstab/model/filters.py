@@ -53,25 +53,22 @@ Stage = tuple[tuple[Any, ...], tuple[Any, ...]]
 
 
 class Section:
-    """A kind of section: what all kinds have in common."""
+    """A kind of section: what all kinds have in common.
+
+    maker: the method of ``Filter`` that makes one; None of a kind that only makes velocities.
+    estimator: the method of ``Velocity``, where a difference that begins with this section has one.
+    text: the section in words, with its parameters by name.
+    powers: the parameters with units, each with the power of the sampling period that takes them.
+    keys: those of TOML of the parameters that have another name there.
+    remedy: where a sampling ``period`` leaves no filter, of kinds where one may.
+    """
 
     maker: ClassVar[str | None] = None
-    """The method of ``Filter`` that makes one; None of a kind that only makes velocities."""
-
     estimator: ClassVar[str | None] = None
-    """The method of ``Velocity``, where a difference that begins with this section has one."""
-
     text: ClassVar[str] = ""
-    """The section in words, with its parameters by name."""
-
     powers: ClassVar[dict[str, int]] = {}
-    """The parameters with units, each with the power of the sampling period that takes them."""
-
     keys: ClassVar[dict[str, str]] = {}
-    """The keys of TOML of the parameters that have another name there."""
-
     remedy: ClassVar[str] = ""
-    """The remedy where a sampling ``period`` leaves no filter, of kinds where one may."""
 
     def __str__(self) -> str:
         return self.text.format(**{name: shown(value) for name, value in vars(self).items()})
@@ -454,13 +451,10 @@ def _whole_samples(window: float | None, sample_time: Numbers) -> int:
 # Above the classes, for under ``python -OO`` a dataclass shows its defaults while it is made.
 
 
-def _filter_calls(sections: Sequence[Section]) -> list[str]:
-    return [
-        _call(f"Filter.{section.maker}", section)
-        if section.maker
-        else f"{_call(f'Velocity.{section.estimator}', section)}.filter"
-        for section in sections
-    ]
+def _filter_call(section: Section) -> str:
+    if section.maker is None:
+        return f"{_call(f'Velocity.{section.estimator}', section)}.filter"
+    return _call(f"Filter.{section.maker}", section)
 
 
 def _call(maker: str, section: Section) -> str:
@@ -574,7 +568,7 @@ class Filter:
         return Filter(self.sections + other.sections)
 
     def __repr__(self) -> str:
-        return " * ".join(_filter_calls(self.sections)) or "Filter()"
+        return " * ".join(map(_filter_call, self.sections)) or "Filter()"
 
     def __str__(self) -> str:
         return ", ".join(map(str, self.sections)) or "no filter"
@@ -747,12 +741,10 @@ class Velocity:
         return Velocity(self.filter * other)
 
     def __repr__(self) -> str:
-        sections = self.filter.sections
-        maker = sections[0].estimator if sections else None
-        if maker is None:  # the difference over one sample
-            return " * ".join(["Velocity()", *_filter_calls(sections)])
-        call = _call(f"Velocity.{maker}", sections[0])
-        return " * ".join([call, *_filter_calls(sections[1:])])
+        call, sections = "Velocity()", self.filter.sections  # the difference over one sample
+        if sections and sections[0].estimator:
+            call, sections = _call(f"Velocity.{sections[0].estimator}", sections[0]), sections[1:]
+        return " * ".join([call, *map(_filter_call, sections)])
 
     def __str__(self) -> str:
         section, *others = self.filter.sections or (Average(1, None),)
@@ -774,18 +766,16 @@ def with_number(velocity: Velocity, quantity: str, value: float) -> Velocity:
     if not places and quantity == "window" and all(section.maker for section in sections):
         sections, places = [Average(1, None), *sections], [0]  # the difference over one sample
     if len(places) != 1:
-        is_cutoff = quantity == "cutoff"
-        call = (
-            "low_pass(100.0) (--cutoff 100)" if is_cutoff else "difference(5) (--window-samples 5)"
-        )
+        one = {"cutoff": "low_pass(100.0) (--cutoff 100)"}
+        call = one.get(quantity, "difference(5) (--window-samples 5)")
         raise ValueError(
             f"quantity is {quantity!r}, but the velocity ({velocity}) has {len(places)} of it; "
             f"give an estimator with one, such as jaxstab.Velocity.{call}."
         )
     (place,) = places
-    of_window = {"samples": int(value), "window": None}
-    changed = of_window if quantity == "window" else {"cutoff": value}
-    sections[place] = replace(sections[place], **changed)
+    is_cutoff = quantity == "cutoff"
+    other = replace(sections[place], cutoff=value) if is_cutoff else Average(int(value), None)
+    sections[place] = other
     return Velocity(Filter(tuple(sections)))
 
 
@@ -838,8 +828,7 @@ def known_filters(velocity: Any, position: Any) -> Filters | None:
 
 def as_keywords(filters: Filters | None) -> dict[str, Any]:
     """Return filters as keywords of the five-number functions."""
-    velocity, position = filters or (None, None)
-    return {"velocity": velocity, "position": position}
+    return dict(zip(("velocity", "position"), filters or (None, None), strict=True))
 
 
 # --------------------------------------------------------------------------------------- checks

@@ -364,7 +364,10 @@ def _motion(
         force, memory = force_at(x, memory)
         before = x, v, force
         is_limited = (abs(force) >= runs.max_force) & (force == line[0])
-        line = _after(force, line)
+        if isinstance(line, tuple):
+            line = (force, *line[:-1])
+        else:
+            line = xp.concatenate([force[None], line[:-1]])
         is_new = (sample == middle) | (sample == last)  # a quarter of the run
         earlier_low = xp.where(is_new, was.low, was.earlier_low)
         earlier_high = xp.where(is_new, was.high, was.earlier_high)
@@ -426,13 +429,6 @@ def _wall(
         return xp.maximum(xp.minimum(force, runs.max_force), -runs.max_force), memory
 
     return read, force_at
-
-
-def _after(newest: Array, line: Any) -> Any:
-    """Return forces, the newest first, without the oldest."""
-    if isinstance(line, tuple):
-        return (newest, *line[:-1])
-    return namespace(line).concatenate([newest[None], line[:-1]])
 
 
 def series_at(coefficients: Any, time: Array) -> Array:
@@ -668,7 +664,5 @@ def _time_of(terms: Array, target: Array, low: Array, high: Array, is_open: Arra
         after = xp.where(is_open, after, time)
         return count + 1, low, high, after, is_open & (abs(after - time) > close * length)
 
-    def is_on(search: Any) -> Array:
-        return (search[0] < _MOST_STEPS) & xp.any(search[-1])
-
-    return repeat_while(is_on, step, (0, low, high, 0.5 * (low + high), is_open))[3]
+    start = 0, low, high, 0.5 * (low + high), is_open
+    return repeat_while(lambda own: (own[0] < _MOST_STEPS) & xp.any(own[-1]), step, start)[3]
