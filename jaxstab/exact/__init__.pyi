@@ -10,7 +10,6 @@ from .line import StableLine as StableLine
 from .line import stable_line as stable_line
 from .roots import Number as Number
 from .roots import Poles as Poles
-from .roots import Radius as Radius
 from .roots import poles as poles
 from .roots import rough_radius as rough_radius
 from .roots import spectral_radius as spectral_radius

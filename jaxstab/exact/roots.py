@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Complex128
 
-from jaxstab.conventions import RadiusStatus
 from jaxstab.exact.verdict import TripleAt, roots_outside
 from jaxstab.model.balls import Factored
 from jaxstab.model.device.parts import FIRST_BITS, decided, flint, working_precision
@@ -49,14 +48,6 @@ def sign_of(ball: "arb") -> int:
     return (1 if ball > 0 else 0) - (1 if ball < 0 else 0)
 
 
-class Radius(NamedTuple):
-    """The spectral radius of a wall, a bound of the error, and whether the bound is proved."""
-
-    value: float
-    error: float
-    status: RadiusStatus
-
-
 class Poles(NamedTuple):
     """The poles of a wall, the largest first, pairs together, and a bound of the error of each.
 
@@ -68,15 +59,11 @@ class Poles(NamedTuple):
     error: float
 
 
-def spectral_radius(triple: TripleAt, stiffness: float, damping: float) -> Radius:
-    """The largest modulus of the poles of the wall (K, B)."""
+def spectral_radius(triple: TripleAt, stiffness: float, damping: float) -> Number:
+    """The largest modulus of the poles of the wall (K, B); an infinite error: nothing is proved."""
     p = partial(_polynomial, triple, stiffness, damping)
-    number = decided(lambda: _largest_modulus(p()), most=MOST_FOR_ROOTS) or decided(
-        lambda: _radius_between(p())
-    )
-    if number is None:
-        return Radius(np.nan, np.inf, RadiusStatus.NO_BOUND)
-    return Radius(*number, RadiusStatus.PROVED)
+    number = decided(lambda: _largest_modulus(p()), most=MOST_FOR_ROOTS)
+    return number or decided(lambda: _radius_between(p())) or Number(np.nan, np.inf)
 
 
 def rough_radius(triple: TripleAt, stiffness: float, damping: float) -> float:

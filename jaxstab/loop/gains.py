@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 
 from jaxstab import exact, motion, point
-from jaxstab.arrays import Array, Numbers, is_any_jax, is_any_traced, named, namespace
-from jaxstab.conventions import RadiusStatus, Verdict
+from jaxstab.arrays import Array, Numbers, is_any_jax, is_any_traced, namespace
+from jaxstab.conventions import Verdict
 from jaxstab.loop.frequency import FrequencyMargins, wall_frequency_margins
 from jaxstab.model.balls import Factored
 from jaxstab.model.parameters import wall_grid
@@ -106,8 +106,7 @@ class TwoGains:
             radii = self._on_grid("spectral_radius", self._in_units(*pair.values()))
             return radii
         found = [exact.spectral_radius(self._triple, *own) for own in grid.reshape(-1, 2).tolist()]
-        value, error, status = np.reshape(np.transpose(found), (3, *grid.shape[:-1]))
-        return point.SpectralRadius(value, error, named(status.astype(np.int8), RadiusStatus))
+        return point.with_status(*np.reshape(np.transpose(found), (2, *grid.shape[:-1])))
 
     def poles(self, *wall: Numbers, **gains: Numbers) -> Complex128[Array, "*grid pole"]:
         """The poles of the loop per sample, the one of the largest modulus first.

@@ -25,7 +25,6 @@ from jaxstab.arrays import (
     joined,
     leaves,
     namespace,
-    reciprocal,
     take,
     tree_map,
     with_values,
@@ -174,17 +173,13 @@ def _in_long_steps(
     ends = [n0 * wall0, n0 * wall1 + n1 * wall0, n1 * wall1, low, middle]
     ends = [column * (1.0 / high) for column in ends]
     w = Complex(*guessed([*ends[:3], *[None] * (steps - 3), *ends[3:]]))  # less 1
-    below = w.shifted(1.0 + pole)
-    inverse = scale * reciprocal(below.squared_modulus())
-    return w.times(Complex(below.re, -below.im)).scaled(inverse)
+    return w.over(w.shifted(1.0 + pole)).scaled(scale)
 
 
 def newton(t: Complex, loop: Loop, degree: int) -> Complex:
     """Return t after a step of Newton's method towards a root of p(1 + t)."""
     value, slope = evaluated(t, loop, degree)
-    inverse = reciprocal(slope.squared_modulus())
-    correction = value.times(Complex(slope.re, -slope.im)).scaled(-inverse)
-    return t.plus(correction)
+    return t.plus(value.over(slope).scaled(-1.0))
 
 
 def evaluated(t: Complex, loop: Loop, degree: int) -> tuple[Complex, Complex]:

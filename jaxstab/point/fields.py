@@ -12,7 +12,7 @@ refine it, and a proof follows that uses nothing of how it was found:
 
 Results are in float32: the radius is rounded up, and so is its bound. Where two poles of nearly the
 same modulus compete, the dominant one is not known; there the radius is proved by a ladder of
-verdicts (lemma R3), and frequency and damping ratio are NaN.
+verdicts in pairs (lemma R3), and frequency and damping ratio are NaN.
 """
 
 from collections.abc import Callable
@@ -29,15 +29,14 @@ from jaxstab.arrays import (
     leaves,
     namespace,
     power_of_two_below_inverse,
-    reciprocal,
     repeat,
     tree_map,
 )
 from jaxstab.batches import MANY, compiled, is_on_cpu, over_tiles
 from jaxstab.model.filters import NO_FILTERS, Filters
 from jaxstab.model.linear_loop import LinearLoop
-from jaxstab.point.poles import Complex, companion_poles, distance_to_root, evaluated, looked_up
-from jaxstab.point.radius import dense_radius_error
+from jaxstab.point.poles import Complex, companion_poles, distance_to_root, evaluated
+from jaxstab.point.radius import listed_radii, scaled_polynomial
 from jaxstab.point.schur_cohn import UNDERFLOW, loop_coefficients, rounded_loop
 from jaxstab.point.verdicts import Form, Points, Values, filtered_loops
 from jaxstab.rounding import SAFETY, UNIT
@@ -98,8 +97,8 @@ def fields_of_grid(
     hand = gamma[:, None, None], delta[:, None, None]
     points = Points(alpha[:, None], beta, *hand, np.asarray(delay))
     form = Form.from_delay(delay)
-    loop = rounded_loop(filtered_loops(points, form, filters or NO_FILTERS))
-    missing = ceil(longest) - ceil(delay)
+    pairs = filtered_loops(points, form, filters or NO_FILTERS)
+    loop, missing = rounded_loop(pairs), ceil(longest) - ceil(delay)
     if loop.degree + missing <= _LONGEST:
         zeros = (0.0 * loop.base[0],) * missing
         base, stiffness, damping = (row + zeros for row in loop[:3])
@@ -109,7 +108,7 @@ def fields_of_grid(
     for rows in np.array_split(np.arange(alpha.size), -(-prod(shape) // _BLOCK)):
         stiffness = points.alpha[rows]
         computed = _fields(stiffness, beta, loop, method=method)
-        for whole, own in zip(fields, _with_ladder(computed, stiffness, beta, loop), strict=True):
+        for whole, own in zip(fields, _with_ladder(computed, stiffness, beta, pairs), strict=True):
             whole[rows] = np.moveaxis(own, 0, -1)
     return fields
 
@@ -154,8 +153,7 @@ def _pole(columns: list[Array], error: Array, *, is_guessed: bool) -> Array:
         root = companion_poles(xp.stack(columns, axis=-1))[..., 0]
         z = Complex(root.real, abs(root.imag))
     value, slope = evaluated(columns, z)  # a step of Newton's method
-    inverse = reciprocal(slope.squared_modulus())
-    z = z.plus(value.times(Complex(slope.re, -slope.im)).scaled(-inverse))
+    z = z.plus(value.over(slope).scaled(-1.0))
     return z.re + 1j * z.im
 
 
@@ -175,17 +173,9 @@ def _is_dominant(
 
     Those outside of a circle that is a little smaller, of radius r, are counted, on p(r z) / r^n.
     """
-    xp, degree = namespace(columns, error), len(columns) - 1
-    within = radius * (1.0 - _BESIDE) - distance
-    inverse = 1.0 / within
-    scaled, power = columns[:1], xp.ones_like(inverse)
-    for column in columns[1:]:
-        power = power * inverse
-        scaled = [*scaled, column * power]
-    rounding = (2.0 * degree + 2.0) * UNIT * sum(map(abs, scaled))
-    moved = SAFETY * (error * xp.maximum(1.0, power) + rounding) + UNDERFLOW
-    is_real = z.im == 0.0
-    is_alone = poles_outside(scaled, moved) == xp.where(is_real, 1, 2)
+    within, is_real = radius * (1.0 - _BESIDE) - distance, z.im == 0.0
+    scaled = scaled_polynomial(columns, error, within, UNIT, range(len(columns)))
+    is_alone = poles_outside(*scaled) == namespace(columns, error).where(is_real, 1, 2)
     return is_alone & (within > 0.0) & (is_real | (z.im > distance))
 
 
@@ -271,10 +261,7 @@ def _with_ladder(fields: PoleFields, alpha: Array, beta: Array, loop: LinearLoop
     if not still_open.size:
         return fields
     radius, error = (np.array(column) for column in fields[:2])
-    stiff, damp, listed = looked_up((alpha, beta, loop), radius.shape, still_open)
     with np.errstate(all="ignore"):
-        coefficients, rounding = loop_coefficients(stiff, damp, listed, UNIT)
-        value = abs(companion_poles(np.moveaxis(coefficients, 0, -1))[..., 0])
-        bound = dense_radius_error(coefficients, rounding, value, unit=UNIT)
-        radius.flat[still_open], error.flat[still_open] = _outwards(value, bound)
+        found = _outwards(*listed_radii((alpha, beta, loop), radius.shape, still_open))
+    radius.flat[still_open], error.flat[still_open] = found
     return fields._replace(radius=radius, error=error)

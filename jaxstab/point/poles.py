@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Complex128, Float64, Int64
 
-from jaxstab.arrays import Array, Numbers, is_any_traced, namespace, tree_map
+from jaxstab.arrays import Array, Numbers, is_any_traced, namespace, reciprocal, tree_map
 from jaxstab.batches import MANY_COEFFICIENTS, compiled
 from jaxstab.model import (
     by_name,
@@ -218,6 +218,11 @@ class Complex(NamedTuple):
     def plus(self, other: "Complex") -> "Complex":
         """Return the sum with another number."""
         return Complex(self.re + other.re, self.im + other.im)
+
+    def over(self, other: "Complex") -> "Complex":
+        """Return the quotient by another number, to eight digits in JAX."""
+        conjugate = Complex(other.re, -other.im)
+        return self.times(conjugate).scaled(reciprocal(other.squared_modulus()))
 
     def shifted(self, by: Array | float) -> "Complex":
         """Return the sum with a real number."""

@@ -84,13 +84,14 @@ def filtered_radius(points: Points, filters: Filters) -> tuple[Values, Values]:
     value, error = np.zeros(points.shape), np.full(points.shape, np.inf)
     for form, indices in points.groups(np.full(points.shape, True)):
         walls = points.alpha, points.beta, filtered_loops(points, form, filters)
-        value.flat[indices], error.flat[indices] = _listed_radii(walls, points.shape, indices)
+        value.flat[indices], error.flat[indices] = listed_radii(walls, points.shape, indices)
     return value, error
 
 
-def _listed_radii(
+def listed_radii(
     walls: tuple[Values, Values, LinearLoop], shape: tuple[int, ...], indices: Values
 ) -> tuple[Values, Values]:
+    """Return radii and bounds at flat indices of the grid to which walls broadcast, in pairs."""
     matrices = 1 << 11  # points at once
     value, error = np.zeros(indices.size), np.full(indices.size, np.inf)
     for start in range(0, indices.size, matrices):
@@ -197,21 +198,28 @@ def scaled_codes(
     coefficients: Number, error: Array, scale: Array, unit: float, places: Sequence[int]
 ) -> Array:
     """Return the codes of p(scale z) / scale^n; coefficients elsewhere than at places are 0."""
-    xp = namespace(coefficients, error, scale)
-    inverse, degree = take(coefficients, 0) / scale, places[-1]  # the first coefficient is 1
-    powers = [take(coefficients, 0)]
-    for _ in range(degree):
-        powers.append(powers[-1] * inverse)
-    scaled: list[Number] = [take(coefficients, k) * powers[at] for k, at in enumerate(places)]
+    xp, degree = namespace(coefficients, error, scale), places[-1]
+    columns = [take(coefficients, k) for k in range(len(places))]
+    scaled, rounding = scaled_polynomial(columns, error, scale, unit, places)
     signed = [-value if at % 2 else value for at, value in zip(places, scaled, strict=True)]
     sizes = sum(map(size, scaled))
-    rounding = SAFETY * error * xp.maximum(1.0, size(inverse) ** degree)
-    rounding = rounding + (2 * degree + 8) * unit * sizes + UNDERFLOW
     at_one, at_minus_one = (leading(reduce(operator.add, terms)) for terms in (scaled, signed))
     end_error = rounding + degree * unit * sizes
     ends = Ends(at_one, end_error, at_minus_one, end_error)
     stacked = tree_map(lambda *c: xp.stack(c), *scaled)
     return polynomial_codes(stacked, rounding, ends, unit, degree)
+
+
+def scaled_polynomial(
+    columns: list[Number], error: Array, scale: Array, unit: float, places: Sequence[int]
+) -> tuple[list[Number], Array]:
+    """Return p(scale z) / scale^n of monic p at places, and a bound of the sum of its errors."""
+    xp, inverse, powers = namespace(columns, error, scale), columns[0] / scale, columns[:1]
+    for _ in range(places[-1]):
+        powers.append(powers[-1] * inverse)
+    scaled = [column * powers[at] for column, at in zip(columns, places, strict=True)]
+    rounding = SAFETY * error * xp.maximum(1.0, size(powers[-1]))
+    return scaled, rounding + (2 * places[-1] + 8) * unit * sum(map(size, scaled)) + UNDERFLOW
 
 
 _LIST = 1 << 12  # points whose companion matrices are made at once
@@ -322,7 +330,7 @@ def linear_spectral_radius(alpha: Array, beta: Array, loop: LinearLoop) -> Spect
         xp = namespace(alpha, beta, loop)
         walls = tree_map(np.asarray, (alpha, beta, loop))
         shape = np.broadcast_shapes(*map(np.shape, leaves(walls)))
-        value, error = _listed_radii(walls, shape, np.arange(prod(shape)))
+        value, error = listed_radii(walls, shape, np.arange(prod(shape)))
         both = xp.asarray(value.reshape(shape)), xp.asarray(error.reshape(shape))
     return with_status(*both)
 

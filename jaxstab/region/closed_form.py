@@ -339,20 +339,10 @@ _DOUBLINGS = 12  # enough for the stiffest and most damped hands
 _TERMS = 13  # the last power of a time in which the plant moves by 1/4
 
 
-class Motion(NamedTuple):
-    """Position and velocity after a unit step of force on the plant at rest.
+def _motion(gamma: Array, delta: Array, time: Array) -> tuple[Array, Array]:
+    """Return position and velocity after a unit step of force on the plant at rest.
 
-    The velocity is the plant's response h to an impulse, the position its integral.
-    """
-
-    position: Float64[Array, "*grid"]
-    velocity: Float64[Array, "*grid"]
-
-
-def motion(gamma: Array, delta: Array, time: Array) -> Motion:
-    """Sum a Taylor series for a small time and double that time.
-
-    The smallest terms are added first.
+    A Taylor series for a small time is summed, its smallest terms first, and that time is doubled.
     """
     xp = namespace(gamma, delta, time)
     short = time * 2.0**-_DOUBLINGS
@@ -365,11 +355,11 @@ def motion(gamma: Array, delta: Array, time: Array) -> Motion:
         term = terms[power - 1]
         position, moment = position + term, moment + power * term
 
-    def doubled(half: Motion) -> Motion:
+    def doubled(half: tuple[Array, Array]) -> tuple[Array, Array]:
         p, v = half
-        return Motion(2 * p - gamma * p**2 + v**2, 2 * v - delta * v**2 - 2 * gamma * p * v)
+        return 2 * p - gamma * p**2 + v**2, 2 * v - delta * v**2 - 2 * gamma * p * v
 
-    start = Motion(position, moment / xp.where(short == 0.0, 1.0, short))
+    start = position, moment / xp.where(short == 0.0, 1.0, short)
     return repeat(_DOUBLINGS, doubled, start)
 
 
@@ -378,14 +368,13 @@ def quick_plant(gamma: Array, delta: Array, delay: Array) -> PlantCoefficients:
     xp = namespace(gamma, delta, delay)
     rest_of_sample = xp.floor(delay) + 1.0 - delay
     times = xp.stack(xp.broadcast_arrays(xp.ones_like(gamma + delta), rest_of_sample))
-    full, held = map(Motion, *motion(gamma, delta, times))
-    impulse_rate = 1.0 - delta * full.velocity - gamma * full.position
-    total = full.position + full.velocity**2 - impulse_rate * full.position
-    later = full.position - held.position
-    n2, early = held
-    n1 = later + full.velocity * early - impulse_rate * n2
-    n0 = full.velocity * (full.velocity - early) - impulse_rate * later
-    d1, d0 = gamma * full.position - 1.0 - impulse_rate, xp.exp(-delta)
+    (position, n2), (velocity, early) = _motion(gamma, delta, times)
+    impulse_rate = 1.0 - delta * velocity - gamma * position
+    total = position + velocity**2 - impulse_rate * position
+    later = position - n2
+    n1 = later + velocity * early - impulse_rate * n2
+    n0 = velocity * (velocity - early) - impulse_rate * later
+    d1, d0 = gamma * position - 1.0 - impulse_rate, xp.exp(-delta)
     return PlantCoefficients(d1, d0, n2, n1, n0, total, n2 - n1 + n0, gamma * total)
 
 

@@ -190,7 +190,7 @@ def deviation(c: Curve, outline: Outline) -> Array:
     here, there = outline.vertices[:-1], outline.vertices[1:]
     away = middle - _foot_on_chord(here, there, middle)
     bulges = np.hypot(away[:, 0], away[:, 1])
-    size = np.hypot(*(np.max(outline.vertices, axis=0) - np.min(outline.vertices, axis=0)))
+    size = np.hypot(*np.ptp(outline.vertices, axis=0))
     return np.max(np.where(outline.is_curved, bulges, 0.0)) / size
 
 

@@ -361,12 +361,6 @@ def second_pairs(c: Curve, theta: Angles) -> Angles:
     return found
 
 
-def _is_cut_off(c: Curve, pair: Float64[np.ndarray, "2"]) -> bool:
-    """True if the second pair at one of two ends is not that of the other one's arc."""
-    told = second_pairs(c, pair)
-    return bool(np.any(np.abs(told - pair[::-1]) > _ANGLES_NEAR))
-
-
 # ------------------------------------------------------------------------------------- joining
 class _Stop(NamedTuple):
     """An end of a straight part: the line, the angle that ends it, and the wall there.
@@ -565,8 +559,10 @@ def _corners(
     slower = np.argmin(speed, axis=0)
     following = {}
     for k in np.flatnonzero(is_solved).tolist():
-        if moved[k] > certain and not c.stretches and _is_cut_off(c, np.abs(start[:, k])):
-            continue
+        if moved[k] > certain and not c.stretches:
+            own, other = second_pairs(c, np.abs(start[:, k])), np.abs(start[::-1, k])
+            if np.any(np.abs(own - other) > _ANGLES_NEAR):
+                continue
         theta[pair[:, k]] = here[:, k]
         walls[pair[:, k]] = both[:, slower[k], k]
         following[int(pair[0, k])] = int(pair[1, k])

@@ -290,19 +290,16 @@ def _agree(line: StableLine, drawn: Points, slim: float, share: float, size: flo
 
 def _adapted(c: Curve, pieces: Pieces, tolerance: float) -> tuple[Outline, float]:
     bulge = 0.35  # times points^-2 is at most about how far the boundary leaves the polygon
-    points, seen = _enough_points(sqrt(bulge / tolerance)), survey(c, pieces)
-    outline = polygon(c, pieces, seen, points)
-    deviation = float(measures.deviation(c, outline))
-    if deviation > tolerance:
-        points = _enough_points(1.2 * points * sqrt(deviation / tolerance))
+    fewest, most, tries = 256, 65536, 2
+    wanted, seen = sqrt(bulge / tolerance), survey(c, pieces)
+    for _ in range(tries):
+        points = max(fewest, min(ceil(wanted), most))
         outline = polygon(c, pieces, seen, points)
         deviation = float(measures.deviation(c, outline))
+        if deviation <= tolerance:
+            break
+        wanted = 1.2 * points * sqrt(deviation / tolerance)
     return outline, deviation
-
-
-def _enough_points(wanted: float) -> int:
-    fewest, most = 256, 65536
-    return max(fewest, min(ceil(wanted), most))
 
 
 @refuses_loops("region()")
