@@ -33,6 +33,7 @@ from jaxstab.batches import compiled, filled_up, in_pieces, is_on_cpu, lists, ov
 from jaxstab.model import polynomial_degree
 from jaxstab.model.double_double import size_sum
 from jaxstab.point.poles import Complex, looked_up
+from jaxstab.point.poles import evaluated as polynomial_at
 from jaxstab.point.schur_cohn import (
     HIGHEST_COUNTED,
     UNDERFLOW,
@@ -188,7 +189,7 @@ def evaluated(t: Complex, loop: Loop, degree: int) -> tuple[Complex, Complex]:
     linear, constant = loop.denominator
     denominator = t.shifted(linear).times(t).shifted(constant)
     wall = z.scaled(loop.alpha).plus(t.scaled(loop.beta))
-    numerator, numerator_slope = _numerator(t, loop.numerator)
+    numerator, numerator_slope = polynomial_at(list(loop.numerator), t)
     below = _to_power(z, degree - 3)  # z^(n-3)
     delayed = z.times(denominator)
     delayed_slope = denominator.scaled(degree - 2.0).plus(
@@ -198,15 +199,6 @@ def evaluated(t: Complex, loop: Loop, degree: int) -> tuple[Complex, Complex]:
         delayed, delayed_slope = below.times(delayed), below.times(delayed_slope)
     slope = delayed_slope.plus(numerator.scaled(loop.alpha + loop.beta))
     return delayed.plus(numerator.times(wall)), slope.plus(numerator_slope.times(wall))
-
-
-def _numerator(t: Complex, coefficients: tuple[Array, ...]) -> tuple[Complex, Complex]:
-    if len(coefficients) == 2:
-        slope, value = coefficients
-        return t.scaled(slope).shifted(value), Complex(slope, 0.0 * slope)
-    second, first, value = coefficients
-    inner = t.scaled(second).shifted(first)
-    return inner.times(t).shifted(value), t.scaled(2.0 * second).shifted(first)
 
 
 def _to_power(z: Complex, exponent: int) -> Complex | None:
