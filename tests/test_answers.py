@@ -470,6 +470,18 @@ def test_what_check_does_not_print_is_not_computed() -> None:
         assert getattr(whole.walls["a"], name) is not None
 
 
+def test_stable_gains_that_are_not_resolved_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("jaxstab.scene.check._stable_beside", lambda *_: ["not resolved"])
+    unstable = [*FREE, "--wall", "b", "1000", "10"]
+    lines = printed("check", *unstable, exit_code=1)
+    words = "K is not resolved at 10 N s/m; B is not resolved at 1000 N/m"
+    assert ("stable walls", words) in lines
+    lines = printed("check", "--all", *unstable, exit_code=1)
+    assert ("stable at its damping", "not resolved") in lines
+    wall = answered("check", *unstable, exit_code=1)["walls"]["b"]
+    assert wall["stable_at_its_stiffness"] == "not resolved"
+
+
 @pytest.mark.parametrize(
     ("value", "words"),
     [

@@ -148,6 +148,8 @@ def query(
     ranges; of those between nothing is said. The exit code is 0 if every verdict is stable, 1 if
     not.
     """
+    from jaxstab.model import Filter
+
     given = {name: value for name, value in point.items() if value is not None}
     if wall and scene_file is None:
         raise click.UsageError("--wall is given without a scene; give --scene FILE.")
@@ -162,7 +164,13 @@ def query(
         points = _points(table, given)
         opened = jaxstab.open_atlas(file)
         rows = _answered(points, opened.query(**points))
-        stated = {"inputs": _made_of(opened), "units": dict.fromkeys(AXES, "1")}
+        words = opened.filters_in_words.removeprefix("velocity: ")
+        velocity, _, position = words.partition("; position: ")
+        filters = {"velocity": velocity, "position": position}
+        if position == str(Filter()):
+            del filters["position"]
+        inputs = filters | {"created_by": opened.created_by}
+        stated = {"inputs": inputs, "units": dict.fromkeys(AXES, "1")}
     _write(rows, form, stated)
     return 0 if all(row["verdict"] == "stable" for row in rows) else 1
 
@@ -210,16 +218,6 @@ def _answered(points: dict[str, list[float]], answer: "AtlasAnswer") -> list[dic
     columns["verdict"] = [Verdict(code).name.lower() for code in answer.verdict.tolist()]
     columns["status"] = [QueryStatus(code).name.lower() for code in answer.status.tolist()]
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-
-
-def _made_of(opened: "Atlas") -> dict[str, str]:
-    from jaxstab.model import Filter
-
-    velocity, _, position = opened.filters_in_words.partition("; position: ")
-    filters = {"velocity": velocity.removeprefix("velocity: "), "position": position}
-    if position == str(Filter()):
-        del filters["position"]
-    return filters | {"created_by": opened.created_by}
 
 
 def _write(rows: list[dict[str, Any]], form: str, stated: dict[str, Any]) -> None:

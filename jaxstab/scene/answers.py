@@ -381,6 +381,13 @@ def basis_of(scene: Scene, *, at_longest: bool = False, constant: str = "the lon
         "the difference over one sample (assumed: the scene names no estimator)"
     )
     masses = Quantity("kg").words(device.effective_mass, scene.units)
+    grip, moving = hand.grip if hand else None, list[str]()  # beside the mass of device and hand
+    if device.modes:
+        moving.append(f"modes at {', '.join(f'{mode.frequency:g}' for mode in device.modes)} Hz")
+    if device.actuator is not None:
+        moving.append(f"an actuator of {device.actuator.bandwidth:g} Hz")
+    if grip is not None:
+        moving.append(f"a grip of {_grip_in_words(grip, scene.units)}")
     postures = f"a device of {masses}, constant while a wall is touched"
     return Basis(
         velocity=str(estimator),
@@ -396,7 +403,7 @@ def basis_of(scene: Scene, *, at_longest: bool = False, constant: str = "the lon
         hand_mass=None if hand is None else hand.effective_mass,
         hand_stiffness=None if hand is None else hand.stiffness,
         hand_damping=None if hand is None else hand.damping,
-        mechanics=_beside_one_mass(scene),
+        mechanics="; ".join(moving) or None,
         postures=postures if device.varies else None,
         motion=None if scene.units is Units.LINE else "rotation",
     )
@@ -442,19 +449,6 @@ def blocks_of(scene: Scene) -> dict[str, str]:
 def _grip_in_words(grip: Grip, units: Units) -> str:
     spring = Quantity("N/m").words(grip.stiffness, units)
     return f"{spring}, {Quantity('N s/m').words(grip.damping, units)}"
-
-
-def _beside_one_mass(scene: Scene) -> str | None:
-    """Describe what moves beside the mass of device and hand; None for nothing."""
-    device, grip, units = scene.device, scene.hand.grip if scene.hand else None, scene.units
-    words = []
-    if device.modes:
-        words.append(f"modes at {', '.join(f'{mode.frequency:g}' for mode in device.modes)} Hz")
-    if device.actuator is not None:
-        words.append(f"an actuator of {device.actuator.bandwidth:g} Hz")
-    if grip is not None:
-        words.append(f"a grip of {_grip_in_words(grip, units)}")
-    return "; ".join(words) or None
 
 
 # A description of the model with the numbers of a scene; docs/model.md says more.

@@ -243,11 +243,6 @@ class Device(t.Table):
         return self.damping or 0.0
 
     @property
-    def largest_friction(self) -> float:
-        """The friction that a push has to overcome."""
-        return max(self.friction, self.static_friction or 0.0)
-
-    @property
     def varies(self) -> bool:
         """True if the mass is a range."""
         return self.effective_mass[0] < self.effective_mass[1]
@@ -589,9 +584,8 @@ class Scene:
                 "device.encoder.resolution."
             )
         limits = self.controller.max_force, self.controller.force_step
-        if self.contact is None and (
-            self.device.largest_friction or any(limits)
-        ):  # verdicts are without these
+        frictions = self.device.friction, self.device.static_friction
+        if self.contact is None and any((*frictions, *limits)):  # verdicts are without these
             object.__setattr__(self, "contact", Contact())
         if turns and hand.mass != (0.0, 0.0):
             raise ValueError(
@@ -621,7 +615,8 @@ class Scene:
     def start(self) -> tuple[float, float]:
         """Push and speed of simulated contacts; those of a finger where they are not given."""
         given, (push, speed) = self.contact or Contact(), FINGER[self.units]
-        push = max(push, 2.0 * self.device.largest_friction)  # it moves the device
+        friction = self.device.static_friction or self.device.friction
+        push = max(push, 2.0 * friction)  # it moves the device
         return (
             push if given.push is None else given.push,
             speed if given.speed is None else given.speed,
