@@ -462,19 +462,40 @@ def smallest_radius(walls: Walls, alpha: float | None = None) -> Best:
 
 
 def _smallest(walls: Walls) -> Best:
-    """Return the best pair of a loop; a last scan of all angles must find no better one."""
-    found, low, angles = _triple_root(walls), 1e-4, walls.angles
-    for _ in range(4):
-        trial = min(found.radius, _LARGEST) * (1.0 - _AGREEMENT)
-        angle, others = walls.least_others(trial, angles, enough=trial)
-        if found.radius < _LARGEST and others > trial:
+    """Return the best pair of a loop; a last scan of all angles finds no better one."""
+    # Ever smaller circles are tried, first just below a triple root. The least one that a pair can
+    # be on is that of a multiple root next to it, or else the root of how far the other poles are
+    # outside: the secant method, in which an end that stays weighs less and less.
+    best, angles, low = _triple_root(walls), walls.angles, 1e-4
+    high, is_multiple = min(best.radius, _LARGEST), best.radius < _LARGEST
+    outside, inside, step, stays = np.inf, np.nan, 0.9, ""  # how far outside, at both ends
+    for _ in range(100):
+        if not high - low > 1e-8 * high:
             break
-        other = _descended(walls, angles, low, _reached(walls, _pair_at(walls, trial, angle)))
-        gain, low = found.radius - other.radius, 0.9 * other.radius
-        found = min(other, found, key=lambda each: each.radius)
-        if gain <= 10.0 * _AGREEMENT * found.radius:
+        trial = max(step * high, np.sqrt(low * high))
+        near = np.clip(1.0 + 20.0 * (high - low) / high, 1.002, 1.2)
+        if is_multiple:
+            trial, near = (1.0 - _AGREEMENT) * high, 1.2
+        elif np.isfinite(outside - inside):
+            share = outside / (outside - inside)
+            trial = low + np.clip(share, 0.05, 0.95) * (high - low)
+        angle, others = walls.least_others(trial, angles, near, trial)
+        if others <= trial:
+            high, step, inside, is_multiple = trial, step * step, others - trial, False
+            outside, stays = (0.5 * outside if stays == "low" else outside), "low"
+        elif is_multiple:
             break
-    return found
+        else:
+            low, outside = trial, others - trial
+            inside, stays = (0.5 * inside if stays == "high" else inside), "high"
+        if others < np.inf:
+            angles = np.union1d(angles, angle)
+            pair = _pair_at(walls, trial, angle)
+            best = min(best, _reached(walls, pair), key=lambda each: each.radius)
+            found = _multiple_root(walls, pair)
+            if outside < np.inf and low <= found.radius <= high:
+                best, high, inside, is_multiple = found, found.radius, np.nan, True
+    return best
 
 
 def _triple_root(walls: Walls) -> Best:
@@ -501,38 +522,6 @@ def _multiple_root(walls: Walls, start: Pair) -> Best:
         return _NOTHING
     status = TuningStatus.TRIPLE_ROOT if is_triple else TuningStatus.DOUBLE_PAIR
     return Best(pair, float(radius), status)
-
-
-def _descended(walls: Walls, angles: Axis, low: float, best: Best) -> Best:
-    """Return the best pair above a radius that none has, from one that is known."""
-    # The radius is taken down until no pair is left. The least one is then the root of how far the
-    # other poles are outside of the circle: the secant method between two circles, in which an end
-    # that stays weighs less and less.
-    high, step, stays = min(best.radius, _LARGEST), 0.9, ""
-    outside, inside = np.inf, np.nan  # at both ends
-    for _ in range(100):
-        if not high - low > 1e-8 * high:
-            break
-        trial = max(step * high, np.sqrt(low * high))
-        if np.isfinite(outside - inside):
-            share = outside / (outside - inside)
-            trial = low + np.clip(share, 0.05, 0.95) * (high - low)
-        near = np.clip(1.0 + 20.0 * (high - low) / high, 1.002, 1.2)
-        angle, others = walls.least_others(trial, angles, near, trial)
-        if others <= trial:
-            high, step, inside = trial, step * step, others - trial
-            outside, stays = (0.5 * outside if stays == "low" else outside), "low"
-        else:
-            low, outside = trial, others - trial
-            inside, stays = (0.5 * inside if stays == "high" else inside), "high"
-        if others < np.inf:
-            angles = np.union1d(angles, angle)
-            pair = _pair_at(walls, trial, angle)
-            best = min(best, _reached(walls, pair), key=lambda each: each.radius)
-            found = _multiple_root(walls, pair)
-            if outside < np.inf and low <= found.radius <= high:
-                return found
-    return best
 
 
 def _reached(walls: Walls, pair: Pair) -> Best:
