@@ -464,12 +464,12 @@ class DeviceBoxes:
         """Return F over boxes, at the least stiffness and at the largest one."""
         place = self._extent(boxes)
         above, below = self._device.parts(place.theta * 1j, place.mass, place.arm)
-        others = self._others(place, aliases)
-        force = sinc(place.theta).value * above + sine(place.theta) * below * others.total
+        total, moduli = self._others(place, aliases)
+        force = sinc(place.theta).value * above + sine(place.theta) * below * total
         force = phasor(place.theta * (place.delay + 0.5)) * force
         position, velocity = self._filters(place.theta)
         damper, spring = place.damping * velocity.value, place.stiffness * position.value
-        late = sine(place.theta).size * self._late(above, below, others)
+        late = sine(place.theta).size * self._late(above, below, moduli)
         wall = damper + spring
         most = _widened(below + wall * force, _times(late, wall.size))
         if self._first_row is None:
@@ -486,8 +486,8 @@ class DeviceBoxes:
         above, below = self._device.parts(_moving_s(place.theta), place.mass, place.arm)
         damper, most = self._walls(place.theta, place.stiffness, place.damping)
         least = most if self._first_row is None else damper
-        force, others = self._force(place, above), self._others(place, self._slow)
-        taken_away = below.value.size * others.total.size + self._late(above, below, others)
+        force, (total, moduli) = self._force(place, above), self._others(place, self._slow)
+        taken_away = below.value.size * total.size + self._late(above, below, moduli)
         free, shares = _rising(
             [((below + wall * force).rate, wall.value.size * taken_away) for wall in (least, most)]
         )
@@ -509,10 +509,10 @@ class DeviceBoxes:
         place, aliases = self._extent(boxes), self._slow
         above, below = self._device.parts(place.theta * 1j, place.mass, place.arm)
         turned = conjugate(boxes.constant(1.0) * above * self._device.lag(place.theta * 1j))
-        others = self._others(place, aliases)
-        force = sinc(place.theta).value * above + sine(place.theta) * below * others.total
+        total, moduli = self._others(place, aliases)
+        force = sinc(place.theta).value * above + sine(place.theta) * below * total
         force = phasor(place.theta * (place.delay + 0.5)) * force * turned
-        late = _times(sine(place.theta).size * self._late(above, below, others), turned.size)
+        late = _times(sine(place.theta).size * self._late(above, below, moduli), turned.size)
         walls = self._walls(place.theta, *self._wall_of_first_row(boxes))
         return _rising(
             [(wall.value * force, _times(late, wall.value.size)) for wall in walls], below
@@ -526,18 +526,18 @@ class DeviceBoxes:
         turned = Moving(boxes.constant(1.0), boxes.constant(0.0)) * above * self._device.lag(s)
         turned = Moving(conjugate(turned.value), conjugate(turned.rate))
         force = self._force(place, above) * turned
-        others = self._others(place, self._slow)
-        taken_away = below.value.size * others.total.size + self._late(above, below, others)
+        total, moduli = self._others(place, self._slow)
+        taken_away = below.value.size * total.size + self._late(above, below, moduli)
         taken_away = taken_away * turned.value.size
         walls = self._walls(place.theta, *self._wall_of_first_row(boxes))
         rates = [((wall * force).rate, wall.value.size * taken_away) for wall in walls]
         return _rising(rates, below.value)
 
-    def _late(self, above: Function, below: Function, others: "_Others") -> np.ndarray:
+    def _late(self, above: Function, below: Function, moduli: np.ndarray) -> np.ndarray:
         """Return a bound of J (|N| + |D| R')."""
         if not self._jitter:
-            return np.zeros_like(others.moduli)  # though a size may be infinite
-        late: np.ndarray = self._jitter * (_size(above) + _size(below) * others.moduli)
+            return np.zeros_like(moduli)  # though a size may be infinite
+        late: np.ndarray = self._jitter * (_size(above) + _size(below) * moduli)
         return late * RAISED_MUCH
 
     def _force(self, place: Extent, above: Any) -> Moving:
@@ -567,8 +567,8 @@ class DeviceBoxes:
         one, back = theta.constant(1.0), phasor(theta)
         return Moving(one, theta.constant(0.0)), Moving(1.0 - back, back * 1j)
 
-    def _others(self, place: Extent, aliases: "_Aliases") -> "_Others":
-        """Return R and R'."""
+    def _others(self, place: Extent, aliases: "_Aliases") -> tuple[LinearModel, np.ndarray]:
+        """Return R, and a bound of R'."""
         discs = place.as_discs()
         total = _widened(place.theta.constant(0.0 + 0.0j), aliases.tail)
         moduli = np.full(place.theta.centre.shape, aliases.tail_of_moduli)
@@ -582,7 +582,7 @@ class DeviceBoxes:
             slope = np.where(is_known, alias.slope, 0.0)
             alias = LinearModel(centre, slope, np.where(is_known, alias.rest, most))
             total = total + on_axes_of(alias, total)
-        return _Others(total, moduli * RAISED_MUCH)
+        return total, moduli * RAISED_MUCH
 
     def _alias(self, place: Extent, turns: int) -> LinearModel:
         angle = place.theta + 2.0 * pi * turns
@@ -598,13 +598,6 @@ def _gain_at_rest(of: tuple[Quotient, Quotient] | None) -> LinearModel:
         return still.constant(1.0)
     value = of[0].over(still).value
     return replace(value, centre=value.centre.real)
-
-
-class _Others(NamedTuple):
-    """R, and a bound of R'."""
-
-    total: LinearModel
-    moduli: np.ndarray
 
 
 class _Aliases(NamedTuple):

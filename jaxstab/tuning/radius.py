@@ -17,11 +17,11 @@ See Blondel, Gurbuzbalaban, Megretski, Overton (2012) for why roots coalesce.
 
 from collections.abc import Callable
 from functools import cache, lru_cache, partial
-from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
+from numpy.lib.stride_tricks import sliding_window_view
 
 from jaxstab.arrays import Array, Numbers, constant, float_arrays, namespace, take
 from jaxstab.batches import asked_of_lanes
@@ -120,12 +120,8 @@ def _extent(axis: Axis, index: np.ndarray, reach: int) -> Axis:
 
 def _local_minima(values: np.ndarray) -> Int64[np.ndarray, "minimum 2"]:
     """Return the places of values that no neighbour is below, the least first."""
-    rows, columns = values.shape
-    padded = np.full((rows + 2, columns + 2), np.inf)
-    padded[1:-1, 1:-1] = values
-    is_least = np.isfinite(values)
-    for row, column in product(range(3), repeat=2):
-        is_least &= values <= padded[row : row + rows, column : column + columns]
+    around = sliding_window_view(np.pad(values, 1, constant_values=np.inf), (3, 3))
+    is_least = np.isfinite(values) & (values <= around.min(axis=(2, 3)))
     places = np.argwhere(is_least)
     return places[np.argsort(values[is_least], kind="stable")]
 
