@@ -126,25 +126,6 @@ def _table(plane: tuple[str, str]) -> dict[str, dict[str, int]]:
     return PHYSICAL if DIMENSIONLESS.keys().isdisjoint(plane) else DIMENSIONLESS
 
 
-def loop_quantities(loop: LoopParameters) -> dict[str, float]:
-    """Return the physical quantities of a loop under the names used here.
-
-    TypeError: the device is not one mass.
-    """
-    body = loop.body
-    if body is None:
-        raise TypeError(
-            f"the device ({loop.device}) is not one mass; a trace takes mass, spring and damper."
-        )
-    return {
-        "mass": body.mass,
-        "sample_time": loop.sample_time,
-        "physical_stiffness": body.stiffness,
-        "physical_damping": body.damping,
-        "time_delay": loop.delay,
-    }
-
-
 def _filters_of(
     plane: tuple[str, str],
     window: Window,
@@ -582,9 +563,15 @@ def trace_boundary(
     """
     resolution = checked_number("resolution", resolution, 1e-3, 0.25, unit="of the window")
     if loop is not None:
-        fixed = {
-            name: value for name, value in loop_quantities(loop).items() if name not in plane
-        } | fixed
+        body = loop.body
+        if body is None:
+            raise TypeError(
+                f"the device ({loop.device}) is not one mass; a trace takes mass, spring and "
+                "damper."
+            )
+        values = body.mass, loop.sample_time, body.stiffness, body.damping, loop.delay
+        known = dict(zip(PHYSICAL[2:], values, strict=True))
+        fixed = {name: value for name, value in known.items() if name not in plane} | fixed
         velocity, position = velocity or loop.velocity, position or loop.position
     maps = monomials(plane, window, fixed)
     filters = _filters_of(plane, window, fixed, velocity, position)

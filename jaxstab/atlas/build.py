@@ -118,11 +118,12 @@ def write_atlas(
             )
             file.write_limits(image, spec.to_toml(), table.arrays)
             if grid is not None:
-                group = file.create_fields(image, grid.arrays, grid.chunk)
+                group = file.create_fields(image, vars(grid), grid.chunk)
                 work = [partial(packed_fields, spec, grid, tile) for tile in tiles]
                 for tile, chunks in zip(tiles, results(work), strict=True):
+                    corner = 0, 0, tile.gamma, tile.delta.start, tile.delay
                     for name, data in chunks.items():
-                        group[name].id.write_direct_chunk(tile.corner, data)
+                        group[name].id.write_direct_chunk(corner, data)
                     stream.check()
 
 

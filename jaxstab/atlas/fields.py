@@ -47,11 +47,6 @@ class FieldGrid:
     delay: Floats
 
     @property
-    def arrays(self) -> dict[str, Floats]:
-        """The axes by name."""
-        return dict(vars(self))
-
-    @property
     def deltas_of_a_tile(self) -> int:
         """The largest number of nodes along delta that are in one tile."""
         tile_nodes = 2**18  # at most, where a tile holds more than one slice
@@ -77,11 +72,6 @@ class Tile(NamedTuple):
     gamma: int
     delta: range
     delay: int
-
-    @property
-    def corner(self) -> tuple[int, ...]:
-        """Where its chunk begins."""
-        return 0, 0, self.gamma, self.delta.start, self.delay
 
 
 def lay_out(spec: AtlasSpec) -> FieldGrid:
@@ -118,7 +108,8 @@ def _stable_box(
     # Islands do not count where there is a component that contains small gains. Between these hands
     # a region may extend further; the margin of the axes covers that.
     points = []
-    for hand in product(_thinned(gamma), _thinned(delta)):
+    few = (np.unique(nodes[[0, nodes.size // 2, -1]]).tolist() for nodes in (gamma, delta))
+    for hand in product(*few):
         region = stable_region(**by_name(*hand, delay), tolerance=fineness, **as_keywords(filters))
         if region.status == RegionStatus.UNRESOLVED:
             raise ValueError(
@@ -133,13 +124,6 @@ def _stable_box(
             "give their nodes, or other hands or delays."
         )
     return float(np.nanmax(alpha)), float(np.nanmin(beta)), float(np.nanmax(beta))
-
-
-def _thinned(nodes: Floats) -> list[float]:
-    most_slices = 3  # of gamma and of delta, to find the region's size
-    count = min(nodes.size, most_slices)
-    chosen: list[float] = nodes[np.linspace(0, nodes.size - 1, count).round().astype(int)].tolist()
-    return chosen
 
 
 def _fitted_alpha(count: int, gamma: Floats, highest: float) -> Floats:
