@@ -376,7 +376,11 @@ def use_compilation_cache(folder: str | os.PathLike[str] | None = None) -> Path:
         >>> import jaxstab
         >>> jaxstab.use_compilation_cache()  # doctest: +SKIP
     """
-    path = Path(folder or os.environ.get("JAX_COMPILATION_CACHE_DIR") or _users_cache()).absolute()
+    folder = folder or os.environ.get("JAX_COMPILATION_CACHE_DIR")
+    if not folder:
+        home = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
+        folder = Path(home or Path.home() / ".cache") / "jaxstab"
+    path = Path(folder).absolute()
     path.mkdir(parents=True, exist_ok=True)
     options: dict[str, str | float] = {
         "jax_compilation_cache_dir": str(path),
@@ -393,11 +397,6 @@ def use_compilation_cache(folder: str | os.PathLike[str] | None = None) -> Path:
         for name, value in options.items():
             jax.config.update(name, value)
     return path
-
-
-def _users_cache() -> Path:
-    home = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
-    return (Path(home) if home else Path.home() / ".cache") / "jaxstab"
 
 
 def on_host(

@@ -96,9 +96,14 @@ class HeldDevice(NamedTuple):
 
         NotImplementedError: the hand is not one mass, spring and damper, or slips out of its grip.
         """
-        _check_hand(device)
-        body = device.mechanism
-        grips = [hand.grip for hand in device.hands if hand.grip is not None]
+        hands, body = device.hands, device.mechanism
+        grips = [hand.grip for hand in hands if hand.grip is not None]
+        fits = len(hands) <= 1 and all(isinstance(h.dynamics, MassSpringDamper) for h in hands)
+        if not fits or any(not grip.stiffness > 0.0 for grip in grips):
+            raise NotImplementedError(
+                "ranges are proved for a device in one hand of mass, spring and damper, behind a "
+                f"grip with a spring or rigidly attached; this is {device}."
+            )
         lags = tuple(2.0 * pi * hertz * period for hertz in device.bandwidths)
         grip = (grips[0].stiffness * period**2, grips[0].damping * period) if grips else None
         if isinstance(body, MassSpringDamper):
@@ -156,16 +161,11 @@ class HeldDevice(NamedTuple):
             return ports
         if not self.modes:
             return Ports.at_one_point(1.0, body)
-        give, whole = self._vibrations(s)
-        return Ports.at_one_point(body * give + whole, body * whole)
-
-    def _vibrations(self, s: Function) -> tuple[Function, Function]:
-        """Return numerator and denominator of the sum of the modes' displacements over force."""
-        give, whole = 0.0, 1.0
+        give, whole = 0.0, 1.0  # numerator and denominator of the sum of the modes' displacements
         for mode in self.modes:
             (frequency, _, moved), below = mode, _vibration(mode, s)
             give, whole = below * give + whole * (1.0 / (moved * frequency**2)), below * whole
-        return give, whole
+        return Ports.at_one_point(body * give + whole, body * whole)
 
     def response(
         self,
@@ -254,16 +254,6 @@ def with_parts(device: Device, mass: float | None, arm: Arms) -> Device:
     body: Any = device.mechanism
     mechanism = body if mass is None else replace(body, mass=mass)
     return replace(device, mechanism=mechanism, hands=(replace(hands[0], dynamics=dynamics),))
-
-
-def _check_hand(device: Device) -> None:
-    hands = device.hands
-    fits = len(hands) <= 1 and all(isinstance(hand.dynamics, MassSpringDamper) for hand in hands)
-    if not fits or any(hand.grip and not hand.grip.stiffness > 0.0 for hand in hands):
-        raise NotImplementedError(
-            "ranges are proved for a device in one hand of mass, spring and damper, behind a grip "
-            f"with a spring or rigidly attached; this is {device}."
-        )
 
 
 def _in_floats(ports: Ports, period: float) -> Ports:
