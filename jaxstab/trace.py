@@ -570,7 +570,7 @@ def trace_boundary(
                 "damper."
             )
         values = body.mass, loop.sample_time, body.stiffness, body.damping, loop.delay
-        known = dict(zip(PHYSICAL[2:], values, strict=True))
+        known = dict(zip([*PHYSICAL][2:], values, strict=True))
         fixed = {name: value for name, value in known.items() if name not in plane} | fixed
         velocity, position = velocity or loop.velocity, position or loop.position
     maps = monomials(plane, window, fixed)
