@@ -79,7 +79,8 @@ class FilterTable(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        every = {name: getattr(self, name) for name in self._names()}
+        names = [entry.name for entry in fields(self) if entry.name not in self.names_besides]
+        every = {name: getattr(self, name) for name in names}
         given = {name: value for name, value in every.items() if value is not None}
         for name, needed in _NEEDS.items():
             if name in given and needed not in given:
@@ -139,10 +140,6 @@ class FilterTable(Table):
                 self.cutoff, order=self.order or 1
             )
         return chain if self.factor is None else chain * Filter.exponential(self.factor)
-
-    @classmethod
-    def _names(cls) -> list[str]:
-        return [entry.name for entry in fields(cls) if entry.name not in cls.names_besides]
 
 
 def below_one(value: Any) -> float:

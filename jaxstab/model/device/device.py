@@ -459,9 +459,8 @@ class Device:
     def one_mass(self) -> MassSpringDamper | None:
         """Device and hands as one mass if rigidly attached and without actuators, else None."""
         systems = [self.mechanism, *(hand.dynamics for hand in self.hands)]
-        if self.bandwidths or any(hand.grip for hand in self.hands):
-            return None
-        if not all(isinstance(system, MassSpringDamper) for system in systems):
+        is_one = all(isinstance(system, MassSpringDamper) for system in systems)
+        if not is_one or self.bandwidths or any(hand.grip for hand in self.hands):
             return None
         return MassSpringDamper(*map(sum, zip(*(vars(x).values() for x in systems), strict=True)))
 

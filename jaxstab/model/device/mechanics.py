@@ -71,7 +71,7 @@ class Mechanics(NamedTuple):
     thrown: Float64[np.ndarray, " state"] | None
 
 
-@lru_cache(maxsize=1024)  # delays in turn ask for one each
+@lru_cache(maxsize=256)  # delays in turn ask for one each
 def mechanics(
     device: Device, sample_time: float, begins: tuple[float, ...], offsets: tuple[float, ...]
 ) -> Mechanics:
