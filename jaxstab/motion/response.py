@@ -307,7 +307,8 @@ def motion_in_turn(
     most = max(2, *map(len, turns))  # two: so that one mass has always five columns
     filled = [(*turn, *[(0, 1.0, 1.0)] * (most - len(turn))) for turn in turns]
     ages, begins, _ = zip(*(zip(*turn, strict=True) for turn in filled), strict=True)
-    return [mechanics(loop.held_device, loop.sample_time, own, offsets) for own in begins], ages
+    given = loop.held_device, loop.sample_time
+    return [mechanics(*given, own, offsets) for own in begins], ages
 
 
 def _states(moves: Mechanics, position: Array, velocity: Array) -> list[Array]:
