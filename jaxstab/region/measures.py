@@ -47,7 +47,7 @@ def limits(
             c, outline, values, axis, _met(outline, values, axis)
         )
         order, last = np.argsort(coordinates, axis=-1), np.sum(exist, axis=-1) - 1  # NaN is last
-        rows, first = np.arange(len(values)), 0 * last if outermost else last - 1
+        rows, first = np.arange(len(values)), np.maximum(0 if outermost else last - 1, 0 * last)
         chosen = order[rows, first], order[rows, last]
         return *(coordinates[rows, k] for k in chosen), *(slopes[rows, k] for k in chosen)
 
