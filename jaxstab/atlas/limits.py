@@ -115,9 +115,7 @@ class _Regions:
             if region.status == RegionStatus.COMPLETE and region.components:
                 spans = [(p.points[:, 1].min(), p.points[:, 1].max()) for p in region.components]
                 self.ends[place] = spans[0]
-                self.is_all[place] = (
-                    np.nanmin(spans) >= spans[0][0] and np.nanmax(spans) <= spans[0][1]
-                )
+                self.is_all[place] = spans[0] == (np.nanmin(spans), np.nanmax(spans))
 
     def rows(self, beta: Array) -> Array:
         outermost = 1e-9  # of the interval of beta: so far inside its ends are the outermost rows
