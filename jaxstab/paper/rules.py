@@ -304,7 +304,9 @@ def passive_region(
         start, end = points[chords], points[chords + 1]
         # Over the middle of a chord a convex arc is at least half as high as anywhere.
         between = _boundary_points(0.5 * (start + end), delay)
-        bulges = _distance(between, start, end) > 0.5 * tolerance
+        chord, away = end - start, between - start
+        across = np.abs(chord[:, 0] * away[:, 1] - chord[:, 1] * away[:, 0])
+        bulges = across > 0.5 * tolerance * np.hypot(*chord.T)
         is_open[chords] = bulges
         indices = chords[bulges] + 1
         points = np.insert(points, indices, between[bulges], axis=0)
@@ -372,10 +374,3 @@ def _needed(walls: Any, theta: np.ndarray, delay: float) -> np.ndarray:
     wall = alpha**2 + 4 * beta * (alpha + beta) * np.sin(half) ** 2
     need: np.ndarray = 0.5 * (real + np.sqrt(real**2 + fraction * (1 - fraction) * wall))
     return need
-
-
-def _distance(point: Points, start: Points, end: Points) -> Float64[np.ndarray, " points"]:
-    chord, away = end - start, point - start
-    across = np.abs(chord[:, 0] * away[:, 1] - chord[:, 1] * away[:, 0])
-    distance: Float64[np.ndarray, " points"] = across / np.hypot(*chord.T)
-    return distance
