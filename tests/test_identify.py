@@ -406,6 +406,13 @@ def test_a_log_that_hardly_tells_the_mass_is_refused() -> None:
         identified(device, log)
 
 
+def test_a_single_sine_does_not_tell_mass_damping_and_delay() -> None:
+    """Two numbers, of three that are asked for: any delay fits, to rounding."""
+    turn = 0.01 * np.arange(2000)
+    with pytest.raises(ValueError, match="does not separate the mass from damping and friction"):
+        jaxstab.identify(force=np.sin(turn), position=-np.sin(turn), sample_time=1e-3)
+
+
 def test_columns_of_other_lengths_are_refused() -> None:
     with pytest.raises(ValueError, match="force has 3 rows but position has 2"):
         jaxstab.identify(force=[0.0, 1.0, 0.0], position=[0.0, 0.0], sample_time=1e-3)

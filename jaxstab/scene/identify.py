@@ -479,15 +479,15 @@ def _refined(
     By steps of Gauss and Newton, halved where the sum grows. The initial states are eliminated
     segment by segment: their columns are the first.
     """
-    number, nudge = begin.shape[1], 1e-7  # of a size: the differences for derivatives
-    nudges = nudge * np.eye(number + 1, number, -1)[:, None]  # the first is none
-    best, doubt = begin / sizes, ""
-    trial = best
-    least, step, shortest, most = inf, np.zeros_like(trial), 1e-10, 100
+    number, nudge = begin.shape[1], 1e-6  # of a size: the differences for derivatives
+    nudges = nudge * np.vstack([np.zeros(number), np.eye(number), -np.eye(number)])[:, None]
+    best = trial = begin / sizes
+    least, step, shortest, most = inf, np.zeros_like(trial), 1e-9, 100
     for _ in range(most):
         trial[:, 6] = np.clip(trial[:, 6], -AHEAD, HISTORY - 1.0)  # the delay
         path, *moved = _paths((trial + nudges) * sizes, pushes)
-        columns = [*(np.array(moved) - path) / nudge, path - measured]
+        slopes = np.subtract(moved[:number], moved[number:]) / (2.0 * nudge)
+        columns = [*slopes, path - measured]
         squares = float(np.sum(columns[-1] ** 2))
         if squares < least:
             gain, least, best, fitted = least - squares, squares, trial, path
@@ -496,16 +496,17 @@ def _refined(
             values = np.linalg.lstsq(left[:, 2:-1], -left[:, -1])[0]
             inverse = np.linalg.pinv(own[..., :2], 1e-6)  # a velocity that friction stops is lost
             states = -(inverse @ (own[..., 2:-1] @ values + own[..., -1])[..., None])[..., 0]
-            step = np.hstack([states, np.tile(values, (len(begin), 1))])
+            # What friction stops nearly at once tells little: no state moves by more than its size.
+            step = np.hstack([np.clip(states, -1.0, 1.0), np.tile(values, (len(begin), 1))])
             if gain < 1e-9 * least:
                 break
         else:
             step *= 0.5
-            if np.max(abs(step)) < shortest:
-                break
+        if np.max(abs(step)) < shortest:
+            break
         trial = best + step
-    else:
-        doubt = f"the best fit was not found in {most} steps, so intervals do not hold"
+    is_near = gain < 1e-4 * least or np.max(abs(step)) < shortest  # by less than its error
+    doubt = "" if is_near else f"the best fit was not found in {most} steps: no interval holds"
     return best * sizes, fitted, rows, doubt
 
 
@@ -517,10 +518,14 @@ def _variances(
     squares = slopes.transpose(0, 2, 1) @ slopes
     gradients = np.einsum("srp,sr->sp", slopes, residuals)
     segments, number = gradients.shape
+    every = slopes.reshape(-1, number)
+    shares = np.linalg.svd(every / np.linalg.norm(every, axis=0), compute_uv=False)
+    if not shares[-1] > 1e-7 * shares[0]:  # the log does not separate them
+        return np.full(number, inf)
     try:
         moves = np.linalg.solve(squares.sum(0) - squares, gradients[..., None])[..., 0]
         white = np.diag(np.linalg.inv(squares.sum(0)))
-    except np.linalg.LinAlgError:  # the log does not separate them
+    except np.linalg.LinAlgError:  # one segment tells all
         return np.full(number, inf)
     noise = np.sum(residuals**2) / (count - 2 * segments - number)
     return np.maximum((segments - 1.0) / segments * np.sum(moves**2, axis=0), noise * white)
