@@ -82,17 +82,31 @@ def test_the_zeros_are_those_that_were_chosen(isolate: Isolate, seed: int) -> No
 
 @pytest.mark.parametrize("degree", [2, 7, 15, 20])
 def test_powers_tell_all_zeros_of_ordinary_sums(degree: int) -> None:
-    """Two zeros between two angles that float64 looks at are left to the search."""
+    """Also where guesses in float64 are too few or too far: next to 0 and to each other."""
     rng = np.random.default_rng([529, degree])
     with flint.ctx.workprec(192):
         for _ in range(20):
-            angles = np.sort(rng.uniform(0.0, np.pi, int(rng.integers(0, degree + 1)))).tolist()
+            angles = rng.uniform(0.0, np.pi, int(rng.integers(0, degree + 1)))
+            angles[:1] = 10.0 ** rng.uniform(-4.0, -1.0)
+            angles[1:2] = angles[:1] * (1.0 + 1e-6)
+            angles.sort()
             pairs = (degree - len(angles)) // 2
-            cosines = chosen(angles, [complex(*rng.uniform(-2.5, 2.5, 2)) for _ in range(pairs)])()
-            told = _by_powers(cosines)
-            assert told is not None or np.min(np.diff(angles)) < np.pi / 16 / degree
-            for zero, angle in zip(told or (), angles, strict=told is not None):
+            others = [complex(*rng.uniform(-2.5, 2.5, 2)) for _ in range(pairs)]
+            told = _by_powers(chosen(angles.tolist(), others)())
+            assert told is not None
+            for zero, angle in zip(told, angles.tolist(), strict=True):
                 assert zero.angle.contains(angle)
+                assert float(zero.angle.rad()) < 1e-12
+
+
+def test_zeros_that_float64_does_not_tell_apart_are_in_order() -> None:
+    with flint.ctx.workprec(192):
+        sums = [flint.arb(1)]
+        for constant in (1e-17, -1e-17, 0.3):
+            sums = times_line(sums, flint.arb(constant))
+        told = _by_powers(sums) or []
+    assert [zero.slope for zero in told] == [-1, 1, -1]
+    assert told[0].angle < told[1].angle < told[2].angle
 
 
 @pytest.mark.parametrize("degree", [3, 17, 40, 41, 60])

@@ -4,8 +4,10 @@
 
 Up to degree 36 the sum is a polynomial in x = 2 cos(theta), by Chebyshev's recursion. Sturm's chain
 counts its real roots in (-2, 2); float64 suggests as many, between the signs of a transform, and
-Newton's step in balls proves that each ball holds one (lemma E3). What is lost to powers of x,
-about 1.3 n bits, is in the radii. Above, and where it is not told so, the angles are searched.
+Newton's step in balls proves that each ball holds one (lemma E3). Where guesses are too few, all
+complex roots are isolated (lemma E2): one is real if its ball meets the real axis and its mirror
+image, a root too, can be in no other ball. What is lost to powers of x, about 1.3 n bits, is in the
+radii. Above, and where roots coincide or nearly so, the angles are searched.
 
 The half circle is divided into 2n cells or a few more. Two discrete Fourier transforms give f and
 three derivatives at the middle of each. A cell of half-width h has no zero if
@@ -43,7 +45,7 @@ from typing import NamedTuple
 import numpy as np
 from flint import acb, arb, arb_mat, arb_poly, ctx, fmpq
 
-from jaxstab.exact.roots import sign_of
+from jaxstab.exact.roots import real_roots, sign_of
 from jaxstab.model.device.parts import remembered
 
 _OVERLAP = 9  # a cell reaches to 9/8 of its share: the ends of shares may be moved by 1/8
@@ -90,15 +92,30 @@ def _by_powers(cosines: "list[arb]") -> list[Zero] | None:
         total += power * (c / 2)
         lower, power = power, x * power - lower
     slope = total.derivative()
-    found: list[Zero] = []
-    before = arb(2)
-    for guess in _guesses(cosines):
-        root, sign = _root_at(total, slope, guess)
-        if not (sign and -2 < root < before):
-            return None
-        before = root
-        found.append(Zero((root / 2).acos(), -sign))
-    return found if len(found) == _sturm_count(total, slope) else None
+    roots = _as_many_as_counted(total, slope, _guesses(cosines))
+    roots = real_roots(total) if roots is None else roots
+    if roots is None:
+        return None
+    found = []
+    for root in sorted(roots, reverse=True):
+        if abs(root) < 2:
+            sign = -sign_of(slope(root))
+            if not sign:
+                return None
+            found.append(Zero((root / 2).acos(), sign))
+        elif not abs(root) > 2:
+            return None  # no zero is at 0 or pi, but this one may be there
+    return found
+
+
+def _as_many_as_counted(
+    f: "arb_poly", slope: "arb_poly", guesses: list[float]
+) -> "list[arb] | None":
+    """The roots in (-2, 2), one next to each guess; None where there may be others."""
+    roots = [_root_at(f, slope, guess) for guess in guesses]
+    ends = [arb(2), *roots, arb(-2)]
+    are_apart = all(left > right for left, right in pairwise(ends))
+    return roots if are_apart and len(roots) == _sturm_count(f, slope) else None
 
 
 @np.errstate(all="ignore")  # NaN where it finds none
@@ -109,17 +126,21 @@ def _guesses(cosines: "list[arb]") -> list[float]:
     c, order = np.array([float((x / largest).mid()) for x in cosines]), np.arange(degree + 1.0)
     cells = 16 * degree
     values = np.fft.rfft(c, 2 * cells).real
+    places = 2.0 * np.cos(np.pi / cells * np.arange(cells + 1))
     cell = np.flatnonzero(values[:-1] * values[1:] < 0.0)
-    theta = np.pi / cells * (cell + values[cell] / (values[cell] - values[cell + 1]))
+    share = values[cell] / (values[cell] - values[cell + 1])
+    x = places[cell] + share * np.diff(places)[cell]
     for _ in range(steps):
+        theta = np.arccos(0.5 * x)
         turns = np.outer(theta, order)
-        theta += np.cos(turns) @ c / (np.sin(turns) @ (order * c))
-    roots: list[float] = (2.0 * np.cos(theta)).tolist()
+        slope = np.sin(turns) @ (order * c) / (2.0 * np.sin(theta))
+        x = np.clip(x - np.cos(turns) @ c / slope, -2.0, 2.0)
+    roots: list[float] = x.tolist()
     return roots
 
 
-def _root_at(f: "arb_poly", slope: "arb_poly", guess: float) -> "tuple[arb, int]":
-    """The one root in a ball around the end of Newton's iteration; the sign of f' there, or 0."""
+def _root_at(f: "arb_poly", slope: "arb_poly", guess: float) -> "arb":
+    """The one root in a ball around the end of Newton's iteration; NaN if none is found."""
     most, small = 10, arb(2) ** -(ctx.prec // 4)  # steps; the last but one, which is squared
     x = arb(guess)
     for _ in range(most):
@@ -127,12 +148,11 @@ def _root_at(f: "arb_poly", slope: "arb_poly", guess: float) -> "tuple[arb, int]
         step = f(x) / rise
         x = (x - step).mid()
         if abs(step) < small:
-            break
-    value = f(x)
-    around = arb(x, (4 * value / rise).abs_upper())
-    rise = slope(around)
-    root = x - value / rise
-    return root, sign_of(rise) if around.contains(root) else 0
+            value = f(x)
+            around = arb(x, (4 * value / rise).abs_upper())
+            root = x - value / slope(around)
+            return root if around.contains(root) else arb("nan")
+    return arb("nan")
 
 
 def _sturm_count(f: "arb_poly", slope: "arb_poly") -> int | None:

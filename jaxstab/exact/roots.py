@@ -137,6 +137,12 @@ def real_or_not(roots: "list[acb] | None") -> "list[tuple[acb, bool]] | None":
     return answers
 
 
+def real_roots(polynomial: "arb_poly") -> "list[arb] | None":
+    """All real roots, in balls that do not touch; None where they are not told apart."""
+    told = real_or_not(_isolated(polynomial))
+    return None if told is None else [root.real for root, is_real in told if is_real]
+
+
 def _largest_modulus(p: Factored | None) -> Number | None:
     """The largest modulus of a root; None where it is not known to a float64."""
     roots, radius = isolated_roots(p), flint.arb(0)

@@ -121,19 +121,7 @@ class LoopsWithHands:
         wall = stiffness, damping
 
         def judge(members: Members) -> WorstHand:
-            """The verdict in the loop of the largest radius; of unstable ones, if any.
-
-            That is the radius at the longest delay, if the delay moves.
-            """
-            loops = [self._held(member) for member in members]
-            codes = np.array([loop.verdict(*wall, **self.moving) for loop in loops])
-            if self.moving:
-                loops = [replace(loop, delay=self.moving["delays"][1]) for loop in loops]
-            sizes = [rough_radius(partial(ball_triple, loop), *wall) for loop in loops]
-            unstable = codes == Verdict.UNSTABLE
-            worst = int(np.argmax(np.where(unstable | ~unstable.any(), sizes, -1.0)))
-            radius = float(loops[worst].spectral_radius(*wall).value)
-            return WorstHand(Verdict(int(codes[worst])), loops[worst], radius)
+            return _worst_of([self._held(member) for member in members], wall, self.moving)
 
         worst = judge(self._spread(values))
         if worst.verdict != Verdict.STABLE:
@@ -258,6 +246,21 @@ class LoopsWithHands:
             return unproved_members(device, self.loop, *ranges, *ends)
         except NotImplementedError:
             return None
+
+
+def _worst_of(loops: "list[HapticLoop]", wall: Wall, moving: dict[str, Any]) -> WorstHand:
+    """The verdict on a wall in the loop of the largest radius; of unstable ones, if any.
+
+    That is the radius at the longest delay, if the delay moves.
+    """
+    codes = np.array([loop.verdict(*wall, **moving) for loop in loops])
+    if moving:
+        loops = [replace(loop, delay=moving["delays"][1]) for loop in loops]
+    sizes = [rough_radius(partial(ball_triple, loop), *wall) for loop in loops]
+    unstable = codes == Verdict.UNSTABLE
+    worst = int(np.argmax(np.where(unstable | ~unstable.any(), sizes, -1.0)))
+    radius = float(loops[worst].spectral_radius(*wall).value)
+    return WorstHand(Verdict(int(codes[worst])), loops[worst], radius)
 
 
 # Walls that several sampled loops share, by rows of the damping (``boxes.search``).
