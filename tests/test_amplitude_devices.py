@@ -91,7 +91,6 @@ def test_nothing_is_proved_of_an_unstable_wall() -> None:
     assert found.status.tolist() == [AmplitudeStatus.PROVED, AmplitudeStatus.NOT_PROVED]
 
 
-@pytest.mark.campaign
 def test_walls_come_to_rest_calmly_where_an_encoder_is_given() -> None:
     loop, _, _ = loops_of("motor")
     free = loop.tune("settling", encoder=1e-5)

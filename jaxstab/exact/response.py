@@ -405,7 +405,7 @@ def _moves(loop: LoopParameters) -> "tuple[arb_mat, list[arb], list[arb], list[a
     newer = [late[row][size] for row in range(size)]
     older = [whole[row][size] - newer[row] for row in range(size)]
     push = [whole[row][hand] for row in range(size)]
-    hit = [row[hand] for row in one[:size]] if own else after_impact(device, period)
+    hit = [row[hand] for row in one[:size]] if own else [*after_impact(device, period)]
     hit += [arb(0)] * (size - len(hit))  # of actuators
     return arb_mat([row[:size] for row in whole[:size]]), newer, older, push, hit
 

@@ -82,7 +82,7 @@ def mechanics(
     if own := in_steps(device):
         return _in_steps(own, round(sample_time / own.step), begins, offsets)
 
-    def asked() -> tuple[list["arb"], list["arb"], int, list["arb_mat"]]:
+    def asked() -> tuple[tuple["arb", ...], list["arb"], int, list["arb_mat"]]:
         matrix, above, below = equations(device, sample_time)
         give, order = below[0] / above[0], len(below) - 1
         resting = [below[power] - give * above[power] for power in range(order - 1, 0, -1)]
@@ -131,7 +131,7 @@ def _seen(
 
 
 @remembered(16)
-def after_impact(device: Device, sample_time: float) -> list["arb"]:
+def after_impact(device: Device, sample_time: float) -> tuple["arb", ...]:
     """The states when the device hits a wall with some velocity, without those of actuators.
 
     They are the coefficients of the position's numerator over ``below``: of the device on its free
@@ -141,7 +141,7 @@ def after_impact(device: Device, sample_time: float) -> list["arb"]:
     above = ports.encoder_by_hand
     if path is not None:
         above = path.numerator * (ports.below / path.denominator)  # it shows no other poles
-    return in_samples(Rational(above, ports.below), sample_time)[0][::-1]
+    return tuple(in_samples(Rational(above, ports.below), sample_time)[0][::-1])
 
 
 @lru_cache(maxsize=256)
