@@ -25,6 +25,7 @@ from jaxstab.arrays import (
     joined,
     leaves,
     namespace,
+    reciprocal,
     take,
     tree_map,
     with_values,
@@ -33,7 +34,6 @@ from jaxstab.batches import compiled, filled_up, in_pieces, is_on_cpu, lists, ov
 from jaxstab.model import polynomial_degree
 from jaxstab.model.double_double import size_sum
 from jaxstab.point.poles import Complex, looked_up
-from jaxstab.point.poles import evaluated as polynomial_at
 from jaxstab.point.schur_cohn import (
     HIGHEST_COUNTED,
     UNDERFLOW,
@@ -174,13 +174,17 @@ def _in_long_steps(
     ends = [n0 * wall0, n0 * wall1 + n1 * wall0, n1 * wall1, low, middle]
     ends = [column * (1.0 / high) for column in ends]
     w = Complex(*guessed([*ends[:3], *[None] * (steps - 3), *ends[3:]]))  # less 1
-    return w.over(w.shifted(1.0 + pole)).scaled(scale)
+    below = w.shifted(1.0 + pole)
+    inverse = scale * reciprocal(below.squared_modulus())
+    return w.times(Complex(below.re, -below.im)).scaled(inverse)
 
 
 def newton(t: Complex, loop: Loop, degree: int) -> Complex:
     """Return t after a step of Newton's method towards a root of p(1 + t)."""
     value, slope = evaluated(t, loop, degree)
-    return t.plus(value.over(slope).scaled(-1.0))
+    inverse = reciprocal(slope.squared_modulus())
+    correction = value.times(Complex(slope.re, -slope.im)).scaled(-inverse)
+    return t.plus(correction)
 
 
 def evaluated(t: Complex, loop: Loop, degree: int) -> tuple[Complex, Complex]:
@@ -189,7 +193,7 @@ def evaluated(t: Complex, loop: Loop, degree: int) -> tuple[Complex, Complex]:
     linear, constant = loop.denominator
     denominator = t.shifted(linear).times(t).shifted(constant)
     wall = z.scaled(loop.alpha).plus(t.scaled(loop.beta))
-    numerator, numerator_slope = polynomial_at(list(loop.numerator), t)
+    numerator, numerator_slope = _numerator(t, loop.numerator)
     below = _to_power(z, degree - 3)  # z^(n-3)
     delayed = z.times(denominator)
     delayed_slope = denominator.scaled(degree - 2.0).plus(
@@ -199,6 +203,15 @@ def evaluated(t: Complex, loop: Loop, degree: int) -> tuple[Complex, Complex]:
         delayed, delayed_slope = below.times(delayed), below.times(delayed_slope)
     slope = delayed_slope.plus(numerator.scaled(loop.alpha + loop.beta))
     return delayed.plus(numerator.times(wall)), slope.plus(numerator_slope.times(wall))
+
+
+def _numerator(t: Complex, coefficients: tuple[Array, ...]) -> tuple[Complex, Complex]:
+    if len(coefficients) == 2:
+        slope, value = coefficients
+        return t.scaled(slope).shifted(value), Complex(slope, 0.0 * slope)
+    second, first, value = coefficients
+    inner = t.scaled(second).shifted(first)
+    return inner.times(t).shifted(value), t.scaled(2.0 * second).shifted(first)
 
 
 def _to_power(z: Complex, exponent: int) -> Complex | None:
