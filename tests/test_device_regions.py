@@ -7,7 +7,8 @@ import pytest
 
 import benchmarks.loops
 import jaxstab
-from benchmarks.truth.random_loops import DeviceLoop
+from benchmarks.truth import filtered, random_loops
+from benchmarks.truth.random_loops import DeviceLoop, MassLoop
 from jaxstab import Device, Filter, Hand, HapticLoop, Mode, Velocity, Verdict
 from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.model import LoopParameters, by_name
@@ -178,6 +179,19 @@ def test_arcs_that_rounding_makes_do_not_multiply() -> None:
     for share, is_stable in ((1.0 - 1e-6, True), (1.0 + 1e-6, False)):
         alpha = loop.alpha(share * limits.stiffness)
         assert drawn.balls.is_stable(float(alpha), float(beta)) is is_stable
+
+
+def test_an_arc_that_is_one_point_is_looked_at_in_balls() -> None:
+    """Of an undamped hand and a slow filter: float64 found one arc, at B = -6e6, of no length."""
+    cutoff = 0.004512871953230884
+    slow = filtered.times(filtered.difference(1), filtered.butterworth(cutoff, order=6))
+    velocity = Velocity.difference(samples=1) * Filter.butterworth(cutoff, order=6)
+    drawn = MassLoop(
+        (5.126865874651953, 0.0, 1.0),
+        random_loops.Filters(velocity, Filter(), (slow, filtered.average(1))),
+    )
+    tally = benchmarks.loops.region(drawn, np.random.default_rng(1))
+    assert (tally.wrong, tally.open) == (0, 0)
 
 
 def test_rows_where_several_roots_leave_the_circle_are_right() -> None:

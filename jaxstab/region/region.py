@@ -85,10 +85,13 @@ def region_of(loop: ScaledLoop, tolerance: float) -> StableRegion:
             if more is not None and not len(more):
                 return region_within(c, empty_outline(resolved=True))
         else:
-            with_balls = True
-        if more is None:
+            more = None
+        if more is not None:
+            centers = np.concatenate([centers, more])
+        elif with_balls:
             break
-        centers = np.concatenate([centers, more])
+        else:
+            with_balls = True
     return region_within(c, empty_outline(resolved=False))
 
 
@@ -296,7 +299,7 @@ def _adapted(c: Curve, pieces: Pieces, tolerance: float) -> tuple[Outline, float
         points = max(fewest, min(ceil(wanted), most))
         outline = polygon(c, pieces, seen, points)
         deviation = float(measures.deviation(c, outline))
-        if deviation <= tolerance:
+        if not deviation > tolerance:  # NaN: all of it is one point
             break
         wanted = 1.2 * points * sqrt(deviation / tolerance)
     return outline, deviation
