@@ -429,8 +429,8 @@ def bracketed_root(
     """Return a root of an elementwise function between two angles at which its signs differ.
 
     It is the secant method, with a bisection wherever that would leave the bracket or crawl. Where
-    the signs at the ends agree, the result is the end of the smaller value. ``ends`` are the values
-    at the ends, if they are known.
+    the signs at the ends agree, or one is 0, the result is the end of the smaller value. ``ends``
+    are the values at the ends, if they are known.
 
     Source: the safeguards of Press et al., Numerical Recipes, 9.4.
     """
@@ -442,12 +442,11 @@ def bracketed_root(
     at_lower, at_upper = ends or (function(lower), function(upper))
     sign = np.sign(at_upper)
     rise = at_upper - at_lower
-    product = at_lower * at_upper
-    share = np.where(product < 0.0, -at_lower / nonzero(rise, 1.0), 0.5)
+    share = -at_lower / nonzero(rise, 1.0)
     is_lower_nearer = abs(at_lower) < abs(at_upper)
     last = np.where(is_lower_nearer, lower, upper)
     at_last = np.where(is_lower_nearer, at_lower, at_upper)
-    has_root = product <= 0.0
+    has_root = np.sign(at_lower) * sign < 0.0
     x: Array = np.where(has_root, lower + share * (upper - lower), last)
     low: Array = lower
     high: Array = upper

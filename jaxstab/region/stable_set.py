@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from decimal import ROUND_FLOOR
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -326,7 +326,7 @@ class StableRegion(ShownRegion):
         corners: np.ndarray = self.outline.corners + 0.0
         return corners
 
-    @property
+    @cached_property
     def components(self) -> list["StableRegion"]:
         """The connected parts of the region: first the one that holds small gains, then by area.
 
@@ -338,7 +338,7 @@ class StableRegion(ShownRegion):
         outlines = components_of(self.curve, self.outline)
         return [region_within(self.curve, outline) for outline in outlines]
 
-    @property
+    @cached_property
     def main(self) -> "StableRegion | None":
         """The component with small positive gains: the walls that are connected to zero gains.
 
@@ -349,8 +349,7 @@ class StableRegion(ShownRegion):
     @property
     def islands(self) -> list["StableRegion"]:
         """The components that are not connected to zero gains, the largest first."""
-        components = self.components
-        return components[any(map(_holds_small_gains, components[:1])) :]
+        return self.components[self.main is not None :]
 
     @property
     def loops(self) -> int:
