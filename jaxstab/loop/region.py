@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Array, Numbers, are_numbers, float_arrays, is_jax, namespace
+from jaxstab.conventions import Verdict
 from jaxstab.loop.gains import Gain
 from jaxstab.model import checked_gain, require_x64
 from jaxstab.numbers import without_noise
@@ -345,6 +346,9 @@ class WallRegion(GainRegion):
 
     def _extreme(self, point: Float64[np.ndarray, "2"], axis: int) -> Gains:
         return Gains(*super()._extreme(point, axis).tolist())
+
+    def _is_stable(self, stiffness: float, damping: float) -> bool:
+        return bool(self.loop.verdict(stiffness, damping) == Verdict.STABLE)
 
     def _intervals_at(self, value: float, axis: int) -> np.ndarray:
         intervals = self.stiffness_intervals if axis == 1 else self.damping_intervals

@@ -122,13 +122,14 @@ def printed_extremes(region: Any, digits: int = _DIGITS) -> tuple[Any, Any]:
     )
     aside = 1e-6 * max(abs(alpha), abs(at_alpha))
 
-    def is_inside(stiffness: float, damping: float) -> Any:
-        return region.contains(stiffness or aside, damping)  # an axis may be the edge: a limit
+    def is_stable(stiffness: float, damping: float) -> bool:
+        stable: bool = region._is_stable(stiffness or aside, damping)
+        return stable  # an axis may be the edge: a limit
 
     both = digits, digits
     rows, columns = (partial(region._intervals_at, axis=axis) for axis in (1, 0))
-    stiffest = stable_pair(alpha, beta, both, is_inside, rows)
-    turned = stable_pair(largest_beta, at_alpha, both, lambda b, k: is_inside(k, b), columns)
+    stiffest = stable_pair(alpha, beta, both, is_stable, rows)
+    turned = stable_pair(largest_beta, at_alpha, both, lambda b, k: is_stable(k, b), columns)
     return stiffest, turned[::-1]
 
 
@@ -379,6 +380,9 @@ class StableRegion(ShownRegion):
         walls hardly move: there it is as right as the polygon, or better.
         """
         return measures.area(self.curve, self.outline)
+
+    def _is_stable(self, alpha: float, beta: float) -> bool:
+        return wall_verdict(self.curve.loop.triple, alpha, beta).verdict == Verdict.STABLE
 
     def _intervals_at(self, value: float, axis: int) -> np.ndarray:
         ends = measures.interval_ends(self.curve, self.outline, np.array([value]), axis=axis)[0]
