@@ -111,7 +111,7 @@ def test_where_no_wall_settles_in_all_loops_there_is_none() -> None:
 
 def test_bad_loops_are_refused_in_a_sentence() -> None:
     with pytest.raises(ValueError, match=r"^loops is empty; give at least one loop\.$"):
-        tune_for_all([])
+        tune_for_all(iter([]))
     with pytest.raises(TypeError, match=r"^loops has 3; give a HapticLoop for each\.$"):
         tune_for_all([3])  # type: ignore[list-item]
     with pytest.raises(ValueError, match=r"^level is 1\.0; give a number below 1"):

@@ -239,9 +239,9 @@ def tune_for_all(
     given: Any = loops
     if not isinstance(given, Iterable):
         raise TypeError(f"loops is {shortened(given)}; give a list of HapticLoop.")
+    loops = [in_floats(loop) for loop in loops]
     if not loops:
         raise ValueError("loops is empty; give at least one loop.")
-    loops = [in_floats(loop) for loop in loops]
     level = checked_level(level, excitation)
     if stiffness is not None:
         stiffness = float(checked_number("stiffness", stiffness, 0.0))
