@@ -46,8 +46,8 @@ _AT_ONCE = 256  # loops that a program takes
 _FORMED = 2048  # loops of one mass that are formed at once
 _SCANS = 3  # of a loop, at most
 _DEGREES = (5, 9, 17, 25, 41, 65)  # up to which p(z) are filled: each program takes memory
-_FEWEST = dict(zip(_DEGREES, (400, 400, 400, 400, 64, 64), strict=True))
-"""Loops of a degree that take as long one by one as to compile a program."""
+_FEWEST = dict(zip(_DEGREES, (400, 400, 400, 400, 200, 100), strict=True))
+"""Loops of a degree that take about half as long one by one as to compile a program."""
 
 
 Indices = Int64[np.ndarray, " _"]
@@ -104,10 +104,10 @@ def limits_of(loops: Any, **fields: Any) -> "ManyLimits | ManyGainLimits":
     any two gains each.
 
     The answers are those of ``HapticLoop.limits`` to 1e-9, without islands. Batches of at least 400
-    loops of about the same degree, 64 of degrees above 25, are computed by one program of JAX, in
-    float64 whatever its flag says, and first compiled in 10 to 20 s (``use_compilation_cache``
-    keeps that). Loops that it does not resolve, and those of smaller batches, are answered one by
-    one.
+    loops of about the same degree (200 above degree 25, 100 above 41) are computed by one program
+    of JAX, in float64 whatever its flag says, and first compiled in 10 to 20 s
+    (``use_compilation_cache`` keeps that). Loops that it does not resolve, and those of smaller
+    batches, are answered one by one.
 
     Where JAX traces loops or fields, the answers are arrays of JAX, differentiable once: by all
     numbers of loops of one mass and their filters, by the implicit function theorem. Inside jit,
