@@ -40,6 +40,12 @@ def test_the_polynomial_of_a_wall_is_that_of_mpmath(draw: object, seed: int) -> 
             assert max(abs(a - b) for a, b in zip(found, expected, strict=True)) < size * 1e-60
 
 
+def pushed(below: list[float], delay: float) -> HapticLoop:
+    """A device 1/D(s)."""
+    device = Device.transfer_function([1.0], below)
+    return HapticLoop(device=device, sample_time=1e-3, delay=delay)
+
+
 def free(**fields: object) -> HapticLoop:
     numbers = {"device_mass": 0.25, "device_damping": 0.0, "sample_time": 1e-3}
     return HapticLoop(**{**numbers, **fields})  # type: ignore[arg-type]
@@ -54,6 +60,10 @@ def free(**fields: object) -> HapticLoop:
         (free(hand_stiffness=10.0), [(0, 0), (0, 1), (1, 1)]),
         (free(velocity=Velocity.difference(samples=6)), [(2, 0), (0, 1), (1, 2)]),
         (free(velocity=Velocity.butterworth(100.0, order=3)), [(2, 0), (0, 1), (1, 4)]),
+        (pushed([2.0, 0.0], 1e-3), [(1, 0), (0, 0), (1, 0)]),
+        (pushed([2.0, 0.0], 1.5e-3), [(1, 0), (0, 1), (1, 1)]),
+        (pushed([1.0, 0.0, 9e4, 0.0], 2.5e-3), [(1, 0), (0, 1), (1, 1)]),
+        (pushed([1.0, 0.0, 9e4], 0.5e-3), [(0, 0), (0, 0), (1, 0)]),
     ],
 )
 def test_roots_at_one_and_minus_one_are_known_by_structure(

@@ -380,8 +380,11 @@ def plant_in_balls(device: Device, period: float, delay: float) -> Plant:
     numerator, denominator = sample.of_samples(late)
     rigid = next(power for power in range(len(below)) if below[power] != 0)
     zeros = 1 if above[0] == 0 else 0
-    is_even = all(c == 0 for side in (above[1::2], below[1::2]) for c in side)
-    at_minus_one = 1 if is_even and late is None else 0
+    # Without damping N(z) reads the same backwards. Its degree is odd, which makes -1 a root, where
+    # G(s) is even and forces come at samples, and where it is odd and they come half way.
+    terms = ((j + k, c * d) for j, c in enumerate(above) for k, d in enumerate(below))
+    parity, *both = {power % 2 for power, product in terms if not product.is_zero()}
+    at_minus_one = int(not both and fraction == 0.5 * parity)
     numerator = known_out(known_out(numerator, 1, zeros), -1, at_minus_one)
     return Plant(
         Factored(numerator, 0, zeros, at_minus_one),
