@@ -16,6 +16,7 @@ from jaxstab import Verdict
 from jaxstab.results import TuningStatus
 
 OF_GAINS = [kind for kind in KINDS if kind != "wall"]
+REST = [kind for kind in OF_GAINS if kind != "kp-ki"]
 
 
 def drawn(kind: str, count: int, seed: int = 1) -> list[Case]:
@@ -236,7 +237,9 @@ def test_54_pictures_say_gains_and_units() -> None:
 
 
 # ------------------------------------------------------------------------------------- many loops
-@pytest.mark.parametrize("kind", OF_GAINS)
+@pytest.mark.parametrize(
+    "kind", ["kp-ki", *(pytest.param(kind, marks=pytest.mark.campaign) for kind in REST)]
+)
 def test_54_limits_of_many_loops_are_those_of_each(kind: str) -> None:
     count = {"simulator": 90, "admittance": 12}.get(kind, 66)  # 64 that the program takes, or none
     loops = [case.loop for case in drawn(kind, count, seed=9)]
@@ -252,6 +255,7 @@ def test_54_limits_of_many_loops_are_those_of_each(kind: str) -> None:
         assert own[2:] == pytest.approx(values[2:], rel=1e-5, abs=1e-6 * max(own), nan_ok=True)
 
 
+@pytest.mark.campaign
 def test_54_regions_of_many_loops_are_those_of_each() -> None:
     for kind in ("kp-ki", "admittance"):
         loops = [case.loop for case in drawn(kind, 66, seed=10)]

@@ -404,6 +404,7 @@ SCENE = ["data/scenes/omega.toml", "--gains", "1000", "15"]
 SIMULATOR = "data/scenes/gains/simulator.toml"
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("asked", "held"), [("mass", "the longest"), ("delay", "each value that is tried")]
 )

@@ -192,6 +192,7 @@ def stiffest_by_roots(loop: HapticLoop, stiffness: float, damping: float) -> lis
     return [truth.code(stiffness * one, damping) for one in (1.0 - 1e-8, 1.0 + 1e-8)]
 
 
+@pytest.mark.campaign
 def test_pieces_that_a_scan_missed_are_found_by_a_second_one(
     rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -295,6 +296,7 @@ def families() -> list[list[HapticLoop]]:
     ]
 
 
+@pytest.mark.campaign
 def test_slow_filters_and_crossings_next_to_corners_are_resolved_by_the_program() -> None:
     kinds = families()
     limits = limits_of([loop for kind in kinds for loop in kind])

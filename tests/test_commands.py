@@ -273,6 +273,7 @@ def test_31_17_a_folder_that_does_not_exist_is_refused_before_the_work(
     assert f"the folder {folder / 'none'} does not exist" in answer.stderr
 
 
+@pytest.mark.campaign
 def test_31_17_a_figure_makes_its_folder_and_files_are_named(folder: Path) -> None:
     figure = run("figure", "4", "-o", "new/folder")
     assert figure.stdout == "new/folder/figure_4.png\n"
@@ -381,6 +382,7 @@ def in_a_shell(redirection: str, *arguments: str) -> subprocess.CompletedProcess
     )
 
 
+@pytest.mark.campaign
 def test_31_26_closed_streams(folder: Path) -> None:
     check = ["check", *OMEGA, *GOOD]
     closed = in_a_shell("2>&-", *check)

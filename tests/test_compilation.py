@@ -227,6 +227,7 @@ def test_no_more_programs_are_compiled_than_allowed(name: str) -> None:
     assert max(others) <= PROGRAMS[name][1]
 
 
+@pytest.mark.campaign
 def test_settings_for_the_code_of_users_change_no_answer_for_numpy() -> None:
     def answers() -> str:
         grid = np.linspace(-0.1, 1.0, 200), np.linspace(-0.1, 1.0, 200)[:, None]
@@ -276,6 +277,7 @@ print(json.dumps([np.allclose(*pair, rtol=1e-12, atol=0.0) for pair in zip(*answ
 """
 
 
+@pytest.mark.campaign
 def test_arrays_on_several_devices_are_answered_as_those_of_numpy() -> None:
     devices = "--xla_force_host_platform_device_count=2"
     found = printed_by(ON_TWO_DEVICES, JAX_ENABLE_X64="1", XLA_FLAGS=devices)

@@ -862,6 +862,7 @@ def test_a_motion_without_an_end_has_no_size() -> None:
     assert wall.in_short(scene.units).startswith("pushed through the wall, whose force stays at ")
 
 
+@pytest.mark.campaign
 def test_a_motion_that_grows_has_the_size_that_it_reached() -> None:
     mode = {"frequency": 40.0, "damping_ratio": 0.05, "modal_mass": 0.5}
     table = {

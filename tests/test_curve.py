@@ -261,6 +261,7 @@ def test_regions_of_slow_filters_are_right(number: int) -> None:
     assert_right_next_to_the_boundary(loop, region, rng)
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("number", [30, 8])
 def test_areas_are_those_of_the_proved_rows(number: int) -> None:
     """They were 47.41 for 48.03, where an edge is long, and 2.5 times too large: drawn-out angles.

@@ -557,6 +557,7 @@ def test_a_link_reproduces_the_state_and_a_scene_is_one(rng: np.random.Generator
         assert again == state
 
 
+@pytest.mark.campaign
 @needs_node
 def test_a_link_keeps_long_windows_and_high_orders() -> None:
     """A shorter window or a lower order is another estimator, which allows stiffer walls."""

@@ -218,6 +218,7 @@ def little_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(jaxstab.guard.build, "_OF_MASS", work)
 
 
+@pytest.mark.campaign
 @pytest.mark.usefixtures("little_work")
 def test_no_sequence_of_delays_makes_a_wall_grow_that_a_header_grants(tmp_path: Path) -> None:
     ranges = RANGES | {"mass": (0.099, 0.101)}

@@ -107,6 +107,7 @@ def test_intervals_of_a_loop_that_diverges_contain_the_truth(seed: int) -> None:
     assert found.delay.low <= device.delay <= found.delay.high
 
 
+@pytest.mark.campaign
 def test_a_search_that_does_not_end_is_told(tmp_path: Path) -> None:
     """The log grows to kilometers within two seconds."""
     log = simulated(Pushed(mass=0.2, spring=2400.0), 2000, 0)

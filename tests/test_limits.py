@@ -293,6 +293,7 @@ def test_a_loop_given_for_numbers_is_answered_in_one_sentence() -> None:
         stable_region(loop_of(0.1, 0.1, 0.0))
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("samples", [1, 4])
 def test_gains_of_jax_are_answered_on_the_host_with_slopes(samples: int) -> None:
     """Limits on the curve and on both lines, distances to each of them, inside and outside."""

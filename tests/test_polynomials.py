@@ -176,7 +176,7 @@ def test_bad_coefficients_get_a_sentence(given: Any, words: str) -> None:
         jaxstab.is_schur("1")  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("degree", [1, 2, 5, 20])
+@pytest.mark.parametrize("degree", [1, 2, 5, pytest.param(20, marks=pytest.mark.campaign)])
 def test_the_iteration_of_accelerators_finds_the_largest_root(degree: int) -> None:
     """Roots of all sizes, many at 0, and delays; judged by certified roots."""
     from jaxstab.point.traced_radius import iterated_root

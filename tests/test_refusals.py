@@ -355,6 +355,7 @@ def test_an_atlas_is_asked_about_a_wall_beside_those_of_a_scene(tmp_path: Path) 
     assert "give --scene FILE" in alone.stderr
 
 
+@pytest.mark.campaign
 def test_a_stream_that_takes_nothing_is_no_answer() -> None:
     no_file = ["limits", "none.toml"]
     for words, where in (
