@@ -592,12 +592,12 @@ def test_check_says_where_an_unstable_wall_would_be_stable() -> None:
     """Of every hand at the corners: K from 0 on at its B, proved beside a K that is not."""
     shown = run("check", "data/scenes/omega.toml", "--json")
     wall = json.loads(shown.stdout)["walls"]["chai3d"]
-    low, high = wall["stable_at_its_damping"]
+    low, high = wall["stiffness_limits"]
     hands = jaxstab.HandRange(mass=(0.0, 0.2), stiffness=(0.0, 100.0), damping=(0.0, 2.0))
     verdicts = [OMEGA.worst_hand(hands, k, 30.0).verdict.name for k in (0.999 * high, 1.001 * high)]
     assert low == 0.0
     assert verdicts == ["STABLE", "UNSTABLE"]
-    assert wall["stable_at_its_stiffness"] == [None, None]
+    assert wall["damping_limits"] == [None, None]
 
 
 def test_the_longest_delay_is_that_of_the_delay_margin() -> None:

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Iterable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from explorer import NODE, asked_of_node, loop_of, random_setup
 from jaxstab import HapticLoop, Verdict
 from jaxstab.scene import Scene, design_loop, scene_limits, tune_walls
 from jaxstab.scene import loop_of as scene_loop
+from jaxstab.scene.answers import GainAnswer
 from jaxstab.scene.limits import brief
 from jaxstab.scene.loops import range_of_hands, with_delay
 from jaxstab.scene.tune import delayed_loop, sampled_loop
@@ -96,7 +96,8 @@ def walls_of_limits(table: dict[str, Any], rng: np.random.Generator) -> tuple[Ha
         return loop, []
     wanted = {"at_damping": damping, "at_stiffness": stiffness}
     answer = scene_limits(Scene.from_table({**table, "wanted": wanted}))
-    others = replace(answer, windows={}, linear_rule=None)  # of other loops, of an approximation
+    # Of other loops, of an approximation.
+    others = GainAnswer({**answer.values, "windows": {}, "linear_rule": None})
     text = "\n".join([str(others), brief(answer), repr(loop.limits()), repr(loop.region())])
     walls = said_walls(text)
     assert len(walls) >= 7

@@ -20,7 +20,7 @@ from jaxstab.conventions import Verdict
 from jaxstab.guard import build as guards
 from jaxstab.pictures.scene import scene_figure
 from jaxstab.scene import Scene, check_walls, loop_of, scene_limits, tune_walls
-from jaxstab.scene.limits import Limits
+from jaxstab.scene.answers import GainAnswer
 from jaxstab.scene.loops import corner_loops, with_tolerances
 
 T = 1e-3
@@ -50,9 +50,9 @@ def answered(*arguments: str | Path, code: int = 0) -> Any:
     return json.loads(result.stdout)
 
 
-def limits_of(table: dict[str, Any]) -> Limits:
+def limits_of(table: dict[str, Any]) -> GainAnswer:
     answer = scene_limits(Scene.from_table(table))
-    assert isinstance(answer, Limits)
+    assert isinstance(answer, GainAnswer)
     return answer
 
 

@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import re
 import tomllib
 from decimal import Decimal
 from fractions import Fraction
@@ -629,7 +630,8 @@ def test_54_other_answers_say_what_they_need(tmp_path: Path) -> None:
     unbounded = file_of(tmp_path, loop(JOINT | {"integrator": "implicit"}, at_kd=10.0))
     limits = run("limits", unbounded)
     assert limits.exit_code == 0
-    assert "largest kp                      unlimited" in limits.stdout
+    assert "largest kp                      unlimited\n" in run("limits", unbounded, "--all").stdout
+    assert re.search(r"^largest kp +unlimited$", limits.stdout, re.MULTILINE)
     assert "0 to unlimited" in limits.stdout
     assert "ever larger ones decay ever faster" in run("tune", unbounded).stdout
     late = DEVICE | {"controller": {"sample_time": 1e-3, "velocity": {"window": 0.02}}}

@@ -326,7 +326,7 @@ def test_all_intervals_of_stable_stiffness_are_named_small_gains_first() -> None
     # The wall is in the other one, which comes first for it.
     assert "within the stable range of 42190 to 120600 N/m, also 0 to 9416 N/m" in said
     at = answer.as_json()["at_given_damping"]
-    first, second = at["stiffness_limits"], at["other_stiffnesses"]["1"]
+    first, second = at["stiffness_limits"], at["other_stiffness"]["1"]
     assert first[0] == 0.0
     for end, outwards in ((first[1], 1), (second[0], -1), (second[1], 1)):
         assert radius_without_damping(end * (1.0 + 1e-6 * outwards)) > 1.0

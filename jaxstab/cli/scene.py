@@ -390,17 +390,12 @@ def limits(in_full: bool, islands: bool, **given: Any) -> int:
     for all hands and delays of the scene by proof, and the walls of the scene are among them, 1 if
     not. --gains without a mass or inertia asks for the least inertia that these need.
     """
-
-    def shown(answer: Any) -> str:
-        from jaxstab.scene.limits import Limits, brief
-
-        is_short = isinstance(answer, Limits) and not in_full
-        return brief(answer, islands=islands) if is_short else str(answer)
-
     from jaxstab.scene.backwards import known_of
+    from jaxstab.scene.limits import brief
 
     tables = tables_of(given).values() if given["gains"] else ()
     is_asked = tables and not any({"mass", "inertia"} & known_of(table) for table in tables)
+    shown = str if in_full or is_asked else partial(brief, islands=islands)
     return _answer(given, "limits", shown, "inertia" if is_asked else None)
 
 
@@ -424,8 +419,9 @@ def check(in_full: bool, certificate: Path | None, **given: Any) -> int:
         claims = certified(scene_of(given, "a certificate"))
         write_beside(json.dumps(claims, indent=1).encode() + b"\n", certificate)
     is_short = not (in_full or given["as_json"] or given["csv_file"])
-    shown: Callable[[Any], str] = (lambda answer: answer.in_short()) if is_short else str
-    return _answer(given, "check", shown, in_full=not is_short)
+    from jaxstab.scene.check import in_short
+
+    return _answer(given, "check", in_short if is_short else str, in_full=not is_short)
 
 
 @scene_command(simulates=True)

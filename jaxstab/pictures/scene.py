@@ -48,18 +48,18 @@ from jaxstab.scene.answers import (
     GIVEN,
     Answer,
     Basis,
+    GainAnswer,
     Quantity,
     basis_of,
     in_words,
     printed_wall,
 )
-from jaxstab.scene.check import Check, WallCheck, check_walls
+from jaxstab.scene.check import check_walls
 from jaxstab.scene.contact import Contacts, simulated_map, walls_around
 from jaxstab.scene.gains import GainScene
-from jaxstab.scene.limits import Limits, passive_walls
+from jaxstab.scene.limits import passive_walls
 from jaxstab.scene.loops import (
     BUT_FOR_DRIFT,
-    WallVerdict,
     at_lowest,
     common_outline,
     corner_loops,
@@ -72,7 +72,7 @@ from jaxstab.scene.loops import (
     walls_of,
 )
 from jaxstab.scene.scene import Encoder, Scene, Units
-from jaxstab.scene.tune import Design, Tuned, stiffness_over_delays, stiffness_over_sample_times
+from jaxstab.scene.tune import stiffness_over_delays, stiffness_over_sample_times
 
 if TYPE_CHECKING:
     from jaxstab.scene.identify import Identified
@@ -89,7 +89,7 @@ _LOOKS: dict[Verdict | str, tuple[str, str, str]] = {  # colour, mark and line o
 }
 
 
-def marks_of(walls: Mapping[str, WallVerdict]) -> Marks:
+def marks_of(walls: Mapping[str, Any]) -> Marks:
     """The marks of walls in the plane of K and B."""
     return {name: ((wall.stiffness, wall.damping), wall.verdict) for name, wall in walls.items()}
 
@@ -104,24 +104,24 @@ def _draw_marks(panel: Axes, marks: Marks, noun: str = "wall") -> None:
             panel.plot(*np.transpose(found), mark, label=label, **look)
 
 
-def draw_margins(panel: Axes, checked: dict[str, WallCheck]) -> None:
+def draw_margins(panel: Axes, checked: dict[str, GainAnswer]) -> None:
     """Draw from each stable wall how far K alone, and B alone, may go."""
     label = "K alone, or B alone, may go this far"
     for wall in checked.values():
-        stiffness, damping = wall.stiffness_limits, wall.damping_limits
-        if stiffness and damping and np.isfinite(stiffness).all():
+        if "stiffness_gain" in wall.values and np.isfinite(wall.stiffness_limits).all():
+            stiffness, damping = wall.stiffness_limits, wall.damping_limits
             panel.plot(stiffness, [wall.damping] * 2, "|-", color=BLACK, lw=1.2, ms=9, label=label)
             panel.plot([wall.stiffness] * 2, damping, "_-", color=BLACK, lw=1.2, ms=9)
             label = ""
 
 
-def draw_responses(panel: Axes, scene: Scene, checked: dict[str, WallCheck]) -> None:
+def draw_responses(panel: Axes, scene: Scene, checked: dict[str, GainAnswer]) -> None:
     """Draw the response to a step of force, relative to the final displacement."""
     far_off, seen, row = 5.0, 2.3, 0.22  # final positions: that are drawn, that are seen, of a name
     fewest, most = 100, 2000  # samples of a response
     level = 0.02
     period = scene.controller.sample_time
-    times = (wall.settling_time_2_percent for wall in checked.values())
+    times = (wall.values.get("settling_time_2_percent") for wall in checked.values())
     settled = [time for time in times if time is not None and isfinite(time)] or [0.0]
     longest = min(1.2 * max(settled), 6.0 * min(settled))
     samples = int(np.clip(longest / period, fewest, most))
@@ -167,19 +167,22 @@ def scene_figure(scene: Scene | GainScene, answer: Answer | None = None) -> Figu
     visible = 0.05  # of the region, in K or in B: smaller sets are enlarged
     if isinstance(answer, Contacts):
         return scene_contacts(scene)
-    basis = basis_of(scene, at_longest=isinstance(answer, Tuned | Design))
-    if isinstance(answer, Design):
+    given: Any = answer if isinstance(answer, GainAnswer) else GainAnswer({})
+    tuned = given if "least_settling" in given.values else None
+    is_design = "now_allowed_stiffness" in given.values
+    is_of_walls = "walls" in given.values and not (tuned or "best" in given.values)
+    checked = given if is_of_walls else None
+    basis = basis_of(scene, at_longest=is_design or tuned is not None)
+    if is_design:
         return _design_figure(scene.at_longest_delay, answer, basis)
     walls = _judged(scene, answer)
-    scene = scene.at_longest_delay if isinstance(answer, Tuned) else scene
+    scene = scene.at_longest_delay if tuned else scene
     if scene.controller.moves:
         return _moving_figure(scene, walls, basis)
     loop = loop_of(scene)
     everything = wall_region(loop)
     if everything.is_empty:
         raise ValueError("no wall is stable for this scene; there is nothing to draw.")
-    checked = answer if isinstance(answer, Check) else None
-    tuned = answer if isinstance(answer, Tuned) else None
     region = everything.reachable
     islands = [island for island in everything.islands if isfinite(island.stiffest.stiffness)]
     areas = [] if tuned else [_common(scene)]
@@ -249,7 +252,7 @@ def _gain_figure(scene: GainScene) -> Figure:
     for name, pair in scene.pairs.items():
         with np.errstate(all="ignore"):  # of a mass of 0
             x, y = scene.loop._chart.of_gains(*np.array([*pair.values()]))
-        marks[name] = (float(x), float(y)), scene.verdict(*pair.values())
+        marks[name] = (float(x), float(y)), scene.stable.verdict(*pair.values())
     figure = Figure(figsize=(_WIDTH, _HEIGHT), layout="constrained")
     panels = [region.plot(figure.subplots())]
     points = np.array([*(spot for spot, _ in marks.values()), (0.0, 0.0)])
@@ -281,7 +284,7 @@ def _write_basis(figure: Figure, scene: Scene, basis: Basis, more: str = "") -> 
     figure.set_figheight(figure.get_figheight() + line * max(0, len(lines) - 2))
 
 
-def _design_figure(scene: Scene, design: Design, basis: Basis) -> Figure:
+def _design_figure(scene: Scene, design: Any, basis: Basis) -> Figure:
     """Draw the largest stiffness over the sample time and over the delay, and the wanted one."""
     largest_time = Quantity("s", 4, ROUND_FLOOR)
     room_above = 1.6  # of the stiffness that a design is about
@@ -316,8 +319,8 @@ def _design_figure(scene: Scene, design: Design, basis: Basis) -> Figure:
 
 def _judged(scene: Scene, answer: Answer | None) -> Marks:
     """Return the marks of a scene's walls, with verdicts of an answer that has them."""
-    known = answer.walls.items() if isinstance(answer, Check | Limits) else ()
-    judged = {name: wall for name, wall in known if isinstance(wall, WallVerdict)}
+    known = answer.values.get("walls", {}) if isinstance(answer, GainAnswer) else {}
+    judged = {name: wall for name, wall in known.items() if "hands_are" in wall._values()}
     if scene.walls and not judged:
         bare = replace(scene, wanted=replace(scene.wanted, measures=()))
         return marks_of(check_walls(bare).walls)
@@ -406,7 +409,7 @@ def _set_window(panel: Axes, points: Floats) -> None:
     panel.set(xlim=x, ylim=y)
 
 
-def _draw_tuned(panel: Axes, tuned: Tuned, units: Units) -> None:
+def _draw_tuned(panel: Axes, tuned: GainAnswer, units: Units) -> None:
     """Draw the tuned walls, each with its own mark."""
     given = [*tuned.walls.values(), *filter(None, [tuned.at_given_stiffness])]
     for label, walls, mark, colour in (

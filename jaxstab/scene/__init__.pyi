@@ -1,8 +1,8 @@
+from .answers import GainAnswer as GainAnswer
 from .answers import explain_model as explain_model
 from .backwards import Backwards as Backwards
 from .check import check_walls as check_walls
 from .contact import simulate_contacts as simulate_contacts
-from .gains import GainAnswer as GainAnswer
 from .gains import GainScene as GainScene
 from .gains import MeasuredScene as MeasuredScene
 from .gains import any_scene as any_scene

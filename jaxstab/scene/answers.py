@@ -1,14 +1,16 @@
 """Answers with units, which print themselves as words and as JSON.
 
 An answer is a frozen dataclass. The annotation of a number has its Quantity: the unit, the digits
-that are printed and the side to which they are rounded. Limits are rounded inwards, and two gains
-that are printed as a stable wall are one (``jaxstab.shown.stable_pair``). JSON has all digits, in
-SI units but for a phase in degrees, and the unit of each key. Answers of a scene that turns have
-the units of rotation, and inertia for mass.
+that are printed and the side to which they are rounded. Answers about two gains have the names of
+these (``GainAnswer``), and their quantities follow from the names: ``largest_kp`` is rounded down.
+Limits are rounded inwards, and two gains that are printed as a stable wall are one
+(``jaxstab.shown.stable_pair``). JSON has all digits, in SI units but for a phase in degrees, and
+the unit of each key. Answers of a scene that turns have the units of rotation, and inertia for
+mass.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 from enum import IntEnum
 from functools import cache
@@ -25,8 +27,6 @@ _HEADINGS = {
     "walls": "wall {}",
     "islands": "island {}",
     "windows": "with a window of {} samples",
-    "other_stiffnesses": "other interval {}",
-    "other_dampings": "other interval {}",
 }
 
 """The headings of the answers in a field that is a dictionary, by its name."""
@@ -134,14 +134,68 @@ GivenDamping = Annotated[float, Quantity("N s/m", GIVEN)]
 Mass = Annotated[float, Quantity("kg")]
 Time = Annotated[float, Quantity("s")]
 Frequency = Annotated[float, Quantity("Hz")]
-Number = Annotated[float, Quantity()]
-Bound = Annotated[float, Quantity(digits=3, rounding=ROUND_CEILING, infinite="not proved")]
-LargestStiffness = Annotated[float, Quantity("N/m", _LIMIT_DIGITS, ROUND_FLOOR)]
-LargestDamping = Annotated[float, Quantity("N s/m", _LIMIT_DIGITS, ROUND_FLOOR)]
-LargestTime = Annotated[float, Quantity("s", _LIMIT_DIGITS, ROUND_FLOOR)]
-StiffnessLimits = Annotated[tuple[float, float], Quantity("N/m", _LIMIT_DIGITS)]
-DampingLimits = Annotated[tuple[float, float], Quantity("N s/m", _LIMIT_DIGITS)]
 MassRange = Annotated[tuple[float, float], Quantity("kg")]
+NOT_PROVED = "not proved"
+_SPARE = Quantity("", 4, ROUND_FLOOR, "any", NOT_PROVED)
+SpareGain = Annotated[float, _SPARE]
+SpareTime = Annotated[float, replace(_SPARE, unit="s")]
+
+
+def formats_of(units: Mapping[str, str]) -> dict[str, Quantity]:
+    """The formats of all that answers give of quantities, from the units of these, by name."""
+    forms = {
+        "{}": Quantity(digits=GIVEN),
+        "largest_{}": Quantity(digits=_LIMIT_DIGITS, rounding=ROUND_FLOOR),
+        "least_{}": Quantity(digits=_LIMIT_DIGITS, rounding=ROUND_CEILING),
+        "at_{}": Quantity(),
+        "{}_limits": Quantity(digits=_LIMIT_DIGITS),
+        "other_{}": Quantity(digits=_LIMIT_DIGITS),
+    }
+    return {
+        words.format(name): replace(form, unit=unit)
+        for name, unit in units.items()
+        for words, form in forms.items()
+    } | {f"{name}_factors": Quantity(digits=_LIMIT_DIGITS) for name in (*units, "both")}
+
+
+FORMATS = formats_of({"stiffness": "N/m", "damping": "N s/m"}) | {
+    # Of limits and designs.
+    **dict.fromkeys(("safety", "share_of_largest"), Quantity()),
+    **dict.fromkeys(
+        ("linear_rule_stiffness", "now_allowed_stiffness"),
+        Quantity("N/m", _LIMIT_DIGITS, ROUND_FLOOR),
+    ),
+    **dict.fromkeys(
+        ("largest_sample_time", "largest_step", "largest_delay"),
+        Quantity("s", _LIMIT_DIGITS, ROUND_FLOOR),
+    ),
+    **dict.fromkeys(
+        ("largest_delay_samples", "largest_delay_steps"), Quantity("", _LIMIT_DIGITS, ROUND_FLOOR)
+    ),
+    "proved_unstable_at": Quantity("N/m", infinite="no unstable wall was found there"),
+    # Of checks and tuned gains: the change that each quantity allows alone, the least distance to
+    # the edge of stability in units of alpha and beta, times, and the bounds of what an encoder
+    # causes.
+    **dict.fromkeys(("stiffness_gain", "damping_gain"), _SPARE),
+    **dict.fromkeys(("extra_delay", "extra_delay_moving"), replace(_SPARE, unit="s")),
+    "distance_to_boundary": Quantity(rounding=ROUND_FLOOR, absent="not known"),
+    **dict.fromkeys(("spectral_radius", "damping_ratio"), Quantity()),
+    "radius_error": Quantity(digits=3, rounding=ROUND_CEILING, infinite=NOT_PROVED),
+    **dict.fromkeys(
+        (
+            *("settling_time_2_percent", "settling_time_5_percent"),
+            *("settling_time_at_worst", "fastest_wall_at_worst"),
+        ),
+        Quantity("s", infinite="never", absent=NOT_PROVED),
+    ),
+    "frequency": Quantity("Hz"),
+    "chatter_at_most": Quantity("m", 3, ROUND_CEILING, NOT_PROVED),
+    "force_chatter_at_most": Quantity("N", 3, ROUND_CEILING, NOT_PROVED),
+    "force_per_count": Quantity("N", 3),
+    "mass": Quantity("kg"),
+    "delay": Quantity("s"),
+}
+"""The formats of numbers of a ``GainAnswer``, by their names."""
 
 
 class Answer:
@@ -150,6 +204,15 @@ class Answer:
     A field is left out where it is None; one that is a dictionary has answers, or quantities, by
     their names. An answer with a field ``inputs`` has its units, and so have the answers in it.
     """
+
+    is_stable: Any = True
+    """False for gains that are not stable, or not proved to be, where that is asked."""
+
+    @property
+    def all_stable(self) -> bool:
+        """True if the gains in it, and in all answers in it, are stable."""
+        inner = (value for _, value in self._entries() if isinstance(value, Answer))
+        return self.is_stable and all(answer.all_stable for answer in inner)
 
     def as_json(self, units: Units = Units.LINE) -> dict[str, Any]:
         """Names and values as JSON has them (NaN, infinity: None), with units beside the inputs."""
@@ -166,6 +229,13 @@ class Answer:
             if name == "inputs":
                 table["units"] = self._units_of_keys(units)
         return table
+
+    def facts(self) -> dict[str, str]:
+        """The texts of an answer by name; of inputs those that are easily overlooked."""
+        found = dict[str, str]()
+        for (name, *_), value in self._entries():
+            found |= value.facts() if isinstance(value, Answer) else {name: value}
+        return found
 
     def lines(self, indent: str = "", units: Units = Units.LINE) -> list[str]:
         """Return a line for each value, its name in front."""
@@ -237,6 +307,27 @@ class Answer:
     def _words(self, name: str, value: Any, units: Units) -> str:
         is_text = isinstance(value, str | IntEnum)
         return in_words(value) if is_text else self._quantity(name).words(value, units)
+
+
+@dataclass(frozen=True)
+class GainAnswer(Answer):
+    """Values by their names, formats of those that ``FORMATS`` lacks, and whether it is stable."""
+
+    values: dict[str, Any]
+    formats: Mapping[str, Quantity] = field(default_factory=dict)
+    is_stable: bool = True
+
+    def __getattr__(self, name: str) -> Any:
+        """A value by its name."""
+        if name == "values" or name not in self.values:
+            raise AttributeError(f"the answer has no {name}")
+        return self.values[name]
+
+    def _values(self) -> Mapping[str, Any]:
+        return self.values
+
+    def _quantity(self, name: str) -> Quantity:
+        return self.formats.get(name) or FORMATS[name]
 
 
 class Part(Answer):

@@ -13,8 +13,7 @@ from typing import Any
 
 from jaxstab.loop import Gains, StableValues
 from jaxstab.loop.backwards import range_of
-from jaxstab.scene.answers import GIVEN, Quantity, basis_of
-from jaxstab.scene.gains import GainAnswer
+from jaxstab.scene.answers import GainAnswer, Quantity, basis_of
 from jaxstab.scene.limits import numbered
 from jaxstab.scene.loops import loop_of, masses_of, range_of_hands, walls_of
 from jaxstab.scene.scene import Scene, Units, presets
@@ -123,8 +122,6 @@ def _needs(wall: Gains, found: StableValues, units: Units, every: str) -> GainAn
         values["status"] = "no value tried is stable"
     values["scan"] = found._replace(unit=units.unit(found.unit)).scan
     formats: dict[str, Quantity] = {
-        "stiffness": Quantity("N/m", GIVEN),
-        "damping": Quantity("N s/m", GIVEN),
         least: Quantity(found.unit, digits, ROUND_CEILING),
         largest: Quantity(found.unit, digits, ROUND_FLOOR),
         others: Quantity(found.unit, digits),

@@ -1,17 +1,16 @@
 """The walls of a scene: verdict, margins, radius, settling and chatter, with proofs."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from decimal import ROUND_CEILING, ROUND_FLOOR
+from itertools import permutations
 from math import inf, isinf, isnan, nan
 from typing import Annotated, Any
 
 import numpy as np
-from jaxtyping import Float64
 
 from jaxstab.arrays import tree_map
 from jaxstab.conventions import Verdict
-from jaxstab.exact import LineStatus
 from jaxstab.loop import FrequencyMargins as LoopFrequencyMargins
 from jaxstab.loop import Gains, HapticLoop
 from jaxstab.loop import Margins as LoopMargins
@@ -20,23 +19,22 @@ from jaxstab.motion import Amplitude as Amplitudes
 from jaxstab.motion import Oscillation as Mode
 from jaxstab.motion import Settling as MotionSettling
 from jaxstab.motion import SettlingStatus
-from jaxstab.numbers import without_noise
 from jaxstab.point import SpectralRadius
 from jaxstab.rounding import EPS
 from jaxstab.scene.answers import (
     LABELS,
-    Answer,
-    Basis,
-    Bound,
+    NOT_PROVED,
     Frequency,
-    Number,
+    GainAnswer,
     Part,
     Quantity,
+    SpareGain,
+    SpareTime,
     basis_of,
     line,
 )
 from jaxstab.scene.contact import Simulated, contacts_or_reasons
-from jaxstab.scene.limits import inner_ends, numbered, stable_in_words
+from jaxstab.scene.limits import StableGains, stable_in_words
 from jaxstab.scene.loops import (
     Floats,
     OneHand,
@@ -53,18 +51,7 @@ from jaxstab.scene.loops import (
 from jaxstab.scene.scene import Scene, Units
 from jaxstab.shown import table_text
 
-_NOT_PROVED = "not proved"
-Amplitude = Annotated[float, Quantity("m", 3, ROUND_CEILING, _NOT_PROVED)]
-SettlingTime = Annotated[float, Quantity("s", infinite="never", absent=_NOT_PROVED)]
-SpareTime = Annotated[float, Quantity("s", 4, ROUND_FLOOR, "any", _NOT_PROVED)]
-SpareGain = Annotated[float, Quantity("", 4, ROUND_FLOOR, "any", _NOT_PROVED)]
-_Peak = Annotated[float, Quantity("", 4, ROUND_CEILING, absent=_NOT_PROVED)]
-_Force = Annotated[float, Quantity("N", 3, ROUND_CEILING, _NOT_PROVED)]
-_Distance = Annotated[float, Quantity(rounding=ROUND_FLOOR, absent="not known")]
-_Limits = tuple[float, float]
-_NONE = "none is stable"
-_StableStiffnesses = Annotated[_Limits, Quantity("N/m", 4, absent=_NONE)]
-_StableDampings = Annotated[_Limits, Quantity("N s/m", 4, absent=_NONE)]
+_Peak = Annotated[float, Quantity("", 4, ROUND_CEILING, absent=NOT_PROVED)]
 
 
 @dataclass(frozen=True)
@@ -74,7 +61,7 @@ class FrequencyMargins(Part):
     Without a gain margin it is one line, of two numbers.
     """
 
-    phase_margin: Annotated[float, Quantity("degrees", 4, ROUND_FLOOR, "any", _NOT_PROVED)]
+    phase_margin: Annotated[float, Quantity("degrees", 4, ROUND_FLOOR, "any", NOT_PROVED)]
     phase_margin_at: Frequency | None
     peak_sensitivity: _Peak
     peak_sensitivity_at: Frequency | None
@@ -85,7 +72,7 @@ class FrequencyMargins(Part):
     delay_margin_at: Frequency | None
     peak_complementary: _Peak | None
     peak_complementary_at: Frequency | None
-    disk_margin: Annotated[float, Quantity("", 4, ROUND_FLOOR, absent=_NOT_PROVED)] | None
+    disk_margin: Annotated[float, Quantity("", 4, ROUND_FLOOR, absent=NOT_PROVED)] | None
     disk_margin_at: Frequency | None
 
     def rows(self, units: Units = Units.LINE) -> dict[str, str]:
@@ -106,122 +93,82 @@ class FrequencyMargins(Part):
         return [line(indent, name, words) for name, words in self.rows(units).items()]
 
 
-@dataclass(frozen=True)
-class WallCheck(WallVerdict):
-    """The verdict on a wall, and the requested measures.
-
-    The worst hand is that of the largest radius, which is given for it; every other measure is the
-    worst over the hands that are tried, but for the jitter, which is proved for every hand.
-    """
-
-    measures_are: str | None
-    # The change that each quantity allows alone: the least over the hands.
-    stiffness_gain: SpareGain | None = None
-    damping_gain: SpareGain | None = None
-    stiffness_limits: Annotated[_Limits, Quantity("N/m", 4, absent=_NOT_PROVED)] | None = None
-    damping_limits: Annotated[_Limits, Quantity("N s/m", 4, absent=_NOT_PROVED)] | None = None
-    extra_delay: SpareTime | None = None
-    # Beside a wall that is not stable: all K at its B, all B at its K, for the hands at once. Of
-    # several intervals the lowest comes first.
-    stable_at_its_damping: _StableStiffnesses | str | None = None
-    other_stiffnesses: dict[str, _StableStiffnesses] = field(default_factory=dict)
-    stable_at_its_stiffness: _StableDampings | str | None = None
-    other_dampings: dict[str, _StableDampings] = field(default_factory=dict)
-    margins_over_frequency: FrequencyMargins | None = None
-    # The least distance to the edge of stability, in units of alpha and beta.
-    distance_to_boundary: _Distance | None = None
-    spectral_radius: Number | None = None
-    radius_error: Bound | None = None
-    # The longest times, infinite for an unstable wall, and the hand that takes longest to 2 %.
-    settling_time_2_percent: SettlingTime | None = None
-    settling_time_5_percent: SettlingTime | None = None
-    settling_status: SettlingStatus | None = None
-    slowest_hand: OneHand | None = None
-    # The slowest mode, with the hand for which it is damped least.
-    damping_ratio: Number | None = None
-    frequency: Frequency | None = None
-    least_damped_hand: OneHand | None = None
-    # The largest position and force, at all times, to which the encoder's rounding drives.
-    chatter_at_most: Amplitude | None = None
-    force_chatter_at_most: _Force | None = None
-    force_per_count: Annotated[float, Quantity("N", 3)] | None = None
-    # The excess of the delay over the scene's longest if it changes from sample to sample.
-    extra_delay_moving: SpareTime | None = None
-    moving_is: str | None = None
-    simulated: Simulated | str | None = None
-
-    def rows(self, name: str, inputs: Basis) -> Iterator[tuple[str, str]]:
-        """At most eight lines, or some more with all margins over frequency."""
-        said = {path: words for path, _, words in self.leaves("", inputs.units)}
-        verdict, delays = self._verdict(said["verdict"], inputs.units), inputs.range_of_delays
-        yield f"wall {name}", f"{said['stiffness']} at {said['damping']}: {verdict}"
-        if self.drifts and self.measures_are:
-            yield "  measures", self.measures_are
-        if self.verdict == Verdict.UNSTABLE and delays:
-            return  # all else is of constant delays
-        if self.stable_at_its_damping is not None:
-            beside = (("K", "stiffness", "damping"), ("B", "damping", "stiffness"))
-            ends = (said.get(f"stable_at_its_{fixed}_low") for *_, fixed in beside)
-            places = (
-                stable_in_words(letter, own, said[fixed], words, said)
-                for (letter, own, fixed), words in zip(beside, ends, strict=True)
-            )
-            yield "  stable walls", "; ".join(places)
-        elif self.stiffness_gain is not None:
-            growth = [said[f"{gain}_gain"] for gain in ("stiffness", "damping")]
-            growth = [f"a factor of {x}" if x[0].isdigit() else f"{x} factor" for x in growth]
-            yield "  gain margins", "K may grow by {}, B by {}".format(*growth)
-            moving = said.get("extra_delay_moving") if delays else None
-            words = f"{said['extra_delay']} (constant)"
-            yield "  extra delay", f"{words}, {moving} (varying)" if moving else words
-        if self.margins_over_frequency:
-            rows = self.margins_over_frequency.rows(inputs.units)
-            yield from ((f"  {name}", words) for name, words in rows.items())
-        if self.settling_status is not None:
-            is_open = self.settling_status == SettlingStatus.NOT_SETTLED
-            horizon = Quantity("s", 3).words(_HORIZON * inputs.sample_time)
-            words = f"not proved within {horizon}" if is_open else said["settling_time_2_percent"]
-            yield "  settling time (2 %)", words
-        if self.chatter_at_most is not None:
-            most = said["chatter_at_most"], said["force_chatter_at_most"]
-            is_endless = isinf(self.chatter_at_most)
-            yield "  encoder chatter", most[0] if is_endless else "at most {} and {}".format(*most)
-        if self.simulated:
-            felt = self.simulated
-            yield "  contact", felt if isinstance(felt, str) else felt.in_short(inputs.units)
-
-    def _verdict(self, words: str, units: Units) -> str:
-        hand = self.worst_hand
-        if self.hands_are:
-            return f"{words}: {self.hands_are}"
-        if self.verdict == Verdict.UNSTABLE:
-            cause = f"{words} with {hand.in_words(units)}" if hand else words
-            return "; ".join(filter(None, [cause, self.worst_delays]))
-        kinds = ["hand", *[units.moved] * (hand.device_mass is not None)] if hand else []
-        return f"{words} for every {' and '.join(kinds)}" if hand else words
+# What a check says in short.
 
 
-@dataclass(frozen=True)
-class Check(Answer):
-    """The answers about each wall, by its name."""
+def in_short(answer: GainAnswer) -> str:
+    """Notes that are easily overlooked, and the main answers of each pair of gains."""
+    inputs, kind = answer.inputs, "walls" if "walls" in answer.values else "gains"
+    pairs = answer.values[kind]
+    rows, delays = [*inputs.facts().items()], getattr(inputs, "range_of_delays", None)
+    if delays or any(pair.values.get("worst_hand") for pair in pairs.values()):
+        words = "verdicts cover all of them; other numbers are the worst at their ends"
+        rows.append(("ranges", words + ", of constant delays" * (delays is not None)))
+    for name, pair in pairs.items():
+        rows += _rows(f"{kind.replace('walls', 'wall')} {name}", pair, inputs, delays)
+    return table_text(rows)
 
-    inputs: Basis
-    walls: dict[str, WallCheck]
 
-    @property
-    def all_stable(self) -> bool:
-        """True if every wall is proved stable with every hand."""
-        return all(wall.is_stable for wall in self.walls.values())
+def _rows(
+    title: str, pair: GainAnswer, inputs: Any, delays: str | None
+) -> Iterator[tuple[str, str]]:
+    """At most eight lines, or some more with all margins over frequency."""
+    units = getattr(inputs, "units", Units.LINE)
+    said = {path: words for path, _, words in pair.leaves("", units)}
+    values, (first, second, *_) = pair.values, pair.values
+    of_wall = title.startswith("wall")
+    own = [said[name] if of_wall else f"{name} = {said[name]}" for name in (first, second)]
+    yield title, f"{(' at ' if of_wall else ' and ').join(own)}: {_verdict(values, said, units)}"
+    verdict, reason = values["verdict"], values.get("measures_are")
+    if reason and reason.startswith("left out: nothing"):
+        yield "  measures", reason
+    if verdict == Verdict.UNSTABLE and delays:
+        return  # all else is of constant delays
+    if "both_factors" in values:
+        factors = [f"{name} by {said[f'{name}_factors_low']}" for name in (first, second, "both")]
+        yield "  gain margins", f"may be multiplied: {', '.join(factors)}"
+    elif "stiffness_gain" in values:
+        growth = [said[f"{gain}_gain"] for gain in ("stiffness", "damping")]
+        growth = [f"a factor of {x}" if x[0].isdigit() else f"{x} factor" for x in growth]
+        yield "  gain margins", "K may grow by {}, B by {}".format(*growth)
+        moving = said.get("extra_delay_moving") if delays else None
+        words = f"{said['extra_delay']} (constant)"
+        yield "  extra delay", f"{words}, {moving} (varying)" if moving else words
+    elif f"{first}_limits" in values:
+        letters = ("K", "B") if of_wall else (first, second)
+        places = zip((first, second), letters, own[::-1], strict=True)
+        beside = [
+            stable_in_words(letter, name, place, said.get(f"{name}_limits_low"), said)
+            for name, letter, place in places
+        ]
+        yield f"  stable {'walls' if of_wall else 'gains'}", "; ".join(beside)
+    frequency = values.get("margins_over_frequency")
+    yield from ((f"  {x}", w) for x, w in (frequency.rows(units) if frequency else {}).items())
+    if "settling_status" in values:
+        is_open = values["settling_status"] == SettlingStatus.NOT_SETTLED
+        horizon = Quantity("s", 3).words(_HORIZON * inputs.sample_time)
+        words = f"not proved within {horizon}" if is_open else said["settling_time_2_percent"]
+        yield "  settling time (2 %)", words
+    if "chatter_at_most" in values:
+        most = said["chatter_at_most"], said["force_chatter_at_most"]
+        is_endless = isinf(values["chatter_at_most"])
+        yield "  encoder chatter", most[0] if is_endless else "at most {} and {}".format(*most)
+    if felt := values.get("simulated"):
+        yield "  contact", felt if isinstance(felt, str) else felt.in_short(units)
 
-    def in_short(self) -> str:
-        """Notes that are easily overlooked, and the main answers of each wall."""
-        rows, delays = [*self.inputs.facts().items()], self.inputs.range_of_delays
-        if delays or any(wall.worst_hand for wall in self.walls.values()):
-            words = "verdicts cover all of them; other numbers are the worst at their ends"
-            rows.append(("ranges", words + ", of constant delays" * (delays is not None)))
-        for name, wall in self.walls.items():
-            rows += wall.rows(name, self.inputs)
-        return table_text(rows)
+
+def _verdict(values: Mapping[str, Any], said: Mapping[str, str], units: Units) -> str:
+    words, hand = said["verdict"], values.get("worst_hand")
+    if "hands_are" in said:
+        return f"{words}: {said['hands_are']}"
+    if values["verdict"] == Verdict.UNSTABLE:
+        cause = f"{words} with {hand.in_words(units)}" if hand else words
+        return "; ".join(filter(None, [cause, values.get("worst_delays")]))
+    kinds = ["hand", *[units.moved] * (hand.device_mass is not None)] if hand else []
+    return f"{words} for every {' and '.join(kinds)}" if hand else words
+
+
+# The walls of a scene.
 
 
 @dataclass(frozen=True)
@@ -235,19 +182,21 @@ class _Wall:
     worst_loop: HapticLoop
 
 
-def check_walls(scene: Scene, *, in_full: bool = True) -> Check:
+def check_walls(scene: Scene, *, in_full: bool = True) -> GainAnswer:
     """The verdict on each wall and the requested measures, at their worst; at least one wall.
 
-    Not ``in_full`` it has of these what ``Check.in_short`` prints.
+    The worst hand is that of the largest radius, which is given for it; every other measure is the
+    worst over the hands that are tried, but for the jitter, which is proved for every hand. Not
+    ``in_full`` the answer has what ``in_short`` prints.
     """
     scene.require_walls()
     felt = contacts_or_reasons(scene) if scene.wanted.measures else {}
     walls = zip(scene.walls, _walls_of(scene), strict=True)
     checked = {name: _checked(wall, felt.get(name), in_full=in_full) for name, wall in walls}
-    return Check(basis_of(scene), checked)
+    return GainAnswer({"inputs": basis_of(scene), "walls": checked})
 
 
-def _checked(wall: _Wall, felt: Simulated | str | None, *, in_full: bool) -> WallCheck:
+def _checked(wall: _Wall, felt: Simulated | str | None, *, in_full: bool) -> GainAnswer:
     scene, is_unstable = wall.scene, wall.worst.verdict == Verdict.UNSTABLE
     encoder, wanted, answers = scene.device.encoder, scene.wanted, dict[str, Any]()
     options: dict[str, dict[str, Any]] = {
@@ -273,10 +222,11 @@ def _checked(wall: _Wall, felt: Simulated | str | None, *, in_full: bool) -> Wal
             found = [method(loop, *wall.gains, **options.get(name, {})) for loop in loops]
             each = tree_map(lambda *parts: np.stack(parts), *found)
             answers |= summarise(wall, loops, each)
-        elif name == "margins" and (in_full or not wall.worst.worst_delays):
+        if name == "margins" and (in_full or (is_unstable and not wall.worst.worst_delays)):
             answers |= _stable_around(wall)
     measures = _measures_are(wall) if answers else reason if wanted.measures else None
-    return WallCheck(**vars(wall.worst), measures_are=measures, **answers, simulated=felt)
+    values = {**vars(wall.worst), "measures_are": measures, **answers, "simulated": felt}
+    return GainAnswer(values, is_stable=wall.worst.is_stable)
 
 
 def _walls_of(scene: Scene) -> list[_Wall]:
@@ -305,39 +255,24 @@ def _hand_of(wall: _Wall, loop: HapticLoop) -> OneHand | None:
 
 
 def _stable_around(wall: _Wall) -> dict[str, Any]:
-    """The stable walls beside one that is not stable."""
-    first, *stiffnesses = _stable_beside(wall.gains.damping, wall.loops, "stiffness_intervals")
-    second, *dampings = _stable_beside(wall.gains.stiffness, wall.loops, "damping_intervals")
-    return {
-        "stable_at_its_damping": first,
-        "other_stiffnesses": numbered(stiffnesses),
-        "stable_at_its_stiffness": second,
-        "other_dampings": numbered(dampings),
-    }
+    """The stable values of one gain at the other one, for all loops."""
+    stable, rows = StableGains(wall.loops[0], besides=(*wall.loops[1:],)), dict[str, Any]()
+    for own, value, fixed, at in (
+        (*pair, *other)
+        for pair, other in permutations(zip(HapticLoop.gains, wall.gains, strict=True))
+    ):
+        try:
+            rows |= stable.row(fixed, at, value)
+        except ValueError:
+            rows[f"{own.name}_limits"] = "not resolved"
+    return rows
 
 
 def _least_margins(_: _Wall, __: list[HapticLoop], margins: LoopMargins) -> dict[str, Any]:
+    """The change that each quantity allows alone: the least over the hands."""
     names = "stiffness_gain", "damping_gain", "extra_delay"
     # NaN, of a hand with which the wall is not stable, goes through.
-    least = {name: float(getattr(margins, name).min()) for name in names}
-    limits = {"stiffness": margins.stiffness, "damping": margins.damping}
-    return least | {f"{name}_limits": _common(own) for name, own in limits.items()}
-
-
-def _stable_beside(gain: float, loops: list[HapticLoop], method: str) -> list[Any]:
-    """The gains beside another one, from 0 on, with which all loops are stable; NaN for none.
-
-    A single text where they are not resolved.
-    """
-    common = [(0.0, inf)]
-    for loop in loops:
-        line = getattr(loop, method)(gain)
-        if line.status != LineStatus.PROVED:
-            return ["not resolved"]
-        ends = inner_ends(line)
-        pairs = ((max(a, c), min(b, d)) for a, b in common for c, d in ends)
-        common = [(low, high) for low, high in pairs if low < high]
-    return common or [(nan, nan)]
+    return {name: float(getattr(margins, name).min()) for name in names}
 
 
 def frequency_answer(found: LoopFrequencyMargins, *, in_full: bool) -> FrequencyMargins:
@@ -358,12 +293,6 @@ def frequency_answer(found: LoopFrequencyMargins, *, in_full: bool) -> Frequency
         answer[f"{name}_at"] = place if is_shown and place >= 0.0 else None
     del answer["least_gain_at"]
     return FrequencyMargins(**answer)
-
-
-def _common(limits: Float64[np.ndarray, "hand 2"]) -> tuple[float, float]:
-    """Return the interval that is in all intervals; an end that is 0 but for rounding is 0."""
-    low, high = limits[:, 0].max(), limits[:, 1].min()
-    return float(without_noise(low, high - low)), float(without_noise(high, high - low))
 
 
 def _radius(_: _Wall, __: list[HapticLoop], radius: SpectralRadius) -> dict[str, Any]:

@@ -25,8 +25,7 @@ from jaxstab.guard.build import CELLS, CONSTANT_CELLS
 from jaxstab.guard.guard import LARGEST_HEADER
 from jaxstab.loop import Gains, HapticLoop
 from jaxstab.model import Velocity
-from jaxstab.scene.answers import Quantity, basis_of, blocks_of
-from jaxstab.scene.gains import GainAnswer
+from jaxstab.scene.answers import GainAnswer, Quantity, basis_of, blocks_of
 from jaxstab.scene.limits import stable_intervals
 from jaxstab.scene.loops import (
     OneHand,
@@ -232,7 +231,7 @@ def _claims(loop: HapticLoop, wall: Gains) -> dict[str, Any]:
     verdict = Verdict(int(loop.verdict(*wall)))
     if verdict == Verdict.UNDECIDED:
         raise ValueError(f"the wall {tuple(wall)} is not decided; there is nothing to certify.")
-    intervals = stable_intervals(loop.stiffness_intervals(wall.damping), 1.0, wall.stiffness)
+    intervals = stable_intervals([loop.stiffness_intervals(wall.damping)], 1.0, wall.stiffness)
     return {
         "stiffness": str(Fraction(wall.stiffness)),
         "damping": str(Fraction(wall.damping)),

@@ -11,34 +11,26 @@ high/low, at Ke = high: a piece of a line, whose stable intervals are complete a
 stable for all of the range where one of them holds that piece.
 """
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, make_dataclass, replace
-from decimal import ROUND_CEILING, ROUND_FLOOR
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, make_dataclass, replace
 from functools import cache, partial
 from inspect import Parameter, signature
-from math import inf, isfinite, isnan, nan
+from math import isfinite, isnan
 from typing import Any, ClassVar
 
 from jaxstab import loop as doors
 from jaxstab import model
 from jaxstab import tables as t
 from jaxstab.conventions import MEASURED, Verdict
-from jaxstab.exact import LineStatus, StableLine, stable_line
-from jaxstab.loop import Gain, GainLimit, Gains, HapticLoop, Loop
+from jaxstab.exact import LineStatus, stable_line
+from jaxstab.loop import Gain, HapticLoop, Loop
 from jaxstab.model.affine import affine_triple
 from jaxstab.numbers import without_noise
-from jaxstab.region import RegionStatus
 from jaxstab.rounding import EPS
-from jaxstab.scene.answers import (
-    GIVEN,
-    Answer,
-    Quantity,
-    basis_of,
-    quantities,
-)
-from jaxstab.scene.check import WallCheck, frequency_answer
-from jaxstab.scene.limits import AroundWall, numbered, stable_in_words, stable_intervals
-from jaxstab.scene.loops import StiffestWall, WallVerdict, device_of, hands_of, loop_of
+from jaxstab.scene.answers import GainAnswer, basis_of
+from jaxstab.scene.check import frequency_answer
+from jaxstab.scene.limits import StableGains
+from jaxstab.scene.loops import device_of, hands_of, loop_of
 from jaxstab.scene.scene import (
     Controller,
     Device,
@@ -49,8 +41,7 @@ from jaxstab.scene.scene import (
     Wall,
     walls_in,
 )
-from jaxstab.scene.tune import DesignStatus, largest_value
-from jaxstab.shown import Printed, stable_pair, table_text
+from jaxstab.scene.tune import largest_value
 
 _DOORS: Mapping[str, tuple[Any, tuple[str, ...]]] = {
     "simulator": (doors.simulated_pd, ()),
@@ -135,6 +126,30 @@ def _single(scene: Scene) -> Scene:
 
 
 @dataclass(frozen=True)
+class _ForEach(StableGains):
+    """Gains that are stable with each environment of a range; the loop is that of the stiffest."""
+
+    environment: tuple[float, float] = (1.0, 1.0)
+
+    @property
+    def certainty(self) -> str | None:
+        """The certainty of a limit that is proved."""
+        low, high = self.environment
+        return "proved for every environment" if low < high else None
+
+    def verdict(self, first: float, second: float) -> Verdict | str:
+        """The verdict on both gains."""
+        verdict, (low, high) = super().verdict(first, second), self.environment
+        if verdict != Verdict.STABLE or low == high:
+            return verdict
+        line = stable_line(partial(affine_triple, self.loop.parts), (0.0, 0.0), (first, second))
+        most = high / low * (1.0 + EPS)
+        if any(low.value < 1.0 and high.value - high.error > most for low, high in line.intervals):
+            return verdict
+        return Verdict.UNSTABLE if line.status == LineStatus.PROVED else Verdict.UNDECIDED
+
+
+@dataclass(frozen=True)
 class GainScene:
     """A loop of two gains (that of the stiffest environment), pairs of gains by name, and wishes.
 
@@ -179,21 +194,15 @@ class GainScene:
         """True if the environments are a range."""
         return self.environment[0] < self.environment[1]
 
+    @property
+    def stable(self) -> StableGains:
+        """The stable gains, with every environment of the range."""
+        safety = self.wanted["safety"] or 1.0
+        return _ForEach(self.loop, safety, environment=self.environment)
+
     def unusual(self) -> list[str]:
         """Describe values that look like a slip of the unit."""
         return self.held.unusual() if self.held else []
-
-    def verdict(self, first: float, second: float) -> Verdict:
-        """The verdict on both gains, with every environment of the range."""
-        pair = dict(zip((gain.name for gain in self.loop.gains), (first, second), strict=True))
-        verdict = Verdict(int(self.loop.verdict(**pair)))
-        if verdict != Verdict.STABLE or not self.is_range:
-            return verdict
-        line = stable_line(partial(affine_triple, self.loop.parts), (0.0, 0.0), (first, second))
-        most = self.environment[1] / self.environment[0] * (1.0 + EPS)
-        if any(low.value < 1.0 and high.value - high.error > most for low, high in line.intervals):
-            return verdict
-        return Verdict.UNSTABLE if line.status == LineStatus.PROVED else Verdict.UNDECIDED
 
     def answer(self, command: str) -> "GainAnswer":
         """The answer of a command; ValueError for one that has none."""
@@ -224,72 +233,53 @@ def _tables_of(*gains: Gain) -> tuple[Any, Any]:
 # Answers, whose names are those of the gains.
 
 
-@dataclass(frozen=True)
-class GainAnswer(Answer):
-    """Values by their names, the formats of numbers, and whether the gains in it are stable."""
-
-    values: dict[str, Any]
-    formats: Mapping[str, Quantity] = field(default_factory=dict)
-    is_stable: bool = True
-
-    @property
-    def all_stable(self) -> bool:
-        """True if the gains in it, and in all answers in it, are stable."""
-        inner = (value for _, value in self._entries() if isinstance(value, GainAnswer))
-        return self.is_stable and all(answer.all_stable for answer in inner)
-
-    def in_short(self) -> str:
-        """Of each pair of gains what most people ask for, in at most eight lines."""
-        if "gains" not in self.values:  # measured walls, which are short as they are
-            return str(self)
-        inputs = self.values["inputs"].values
-        rows = [("loop", inputs["loop"]), ("given", inputs["given"])]
-        rows += inputs["device"].facts().items() if inputs["device"] else ()
-        for name, pair in self.values["gains"].items():
-            rows += pair.rows(f"gains {name}")
-        return table_text(rows)
-
-    def rows(self, name: str) -> Iterator[tuple[str, str]]:
-        """The verdict on a pair of gains, and what is left where it is stable."""
-        said, both = {path: words for path, _, words in self.leaves()}, [*self.values][:2]
-        own = [f"{gain} = {said[gain]}" for gain in both]
-        yield name, f"{own[0]} and {own[1]}: {said['verdict']}"
-        if "both_factors_low" in said:
-            factors = [f"{gain} by {said[f'{gain}_factors_low']}" for gain in (*both, "both")]
-            yield "  gain margins", f"may be multiplied: {', '.join(factors)}"
-            yield from ((f"  {x}", words) for x, words in self.values["frequency"].rows().items())
-        elif f"{both[0]}_limits_low" in said:
-            places = zip(both, own[::-1], strict=True)
-            beside = [stable_in_words(x, x, y, said[f"{x}_limits_low"], said) for x, y in places]
-            yield "  stable gains", "; ".join(beside)
-
-    def _values(self) -> Mapping[str, Any]:
-        return self.values
-
-    def _quantity(self, name: str) -> Quantity:
-        return self.formats[name]
-
-
 def gain_limits(scene: GainScene) -> GainAnswer:
     """The limits of both gains, the stable values of one at the other, and around each pair."""
-    values, is_any = _stated(scene), True
+    stable, values, gains, is_any = scene.stable, _stated(scene), scene.loop.gains, True
     try:
-        limits = _limits(scene)
-        is_any = not all(isnan(limit.value) for limit in limits)
-        every = {limit.gain.name: _limit(scene, limit) for limit in limits}
-        values |= every if is_any else {"limits": "there are no stable gains"}
+        limits = {own.name: stable.limit(own, *stable.found(own)) for own in gains}
+        is_any = not all(isnan(next(iter(limit.values.values()))) for limit in limits.values())
+        values |= limits if is_any else {"limits": "there are no stable gains"}
     except ValueError as error:  # both gains act alike
         values["limits"] = str(error)
-    for gain in scene.loop.gains:
-        at = scene.wanted[f"at_{gain.name}"]
+    for own in gains:
+        at = scene.wanted[f"at_{own.name}"]
         if at is not None and scene.is_range:
             raise ValueError(
-                f"wanted.at_{gain.name} is {at:g} beside a range of environments, for which pairs "
+                f"wanted.at_{own.name} is {at:g} beside a range of environments, for which pairs "
                 "of gains are proved; give one environment, or [gains.NAME]."
             )
-        values[f"at_given_{gain.name}"] = None if at is None else _row(scene, gain, at)
+        values[f"at_given_{own.name}"] = stable.at(own, at)
     pairs = {name: _around(scene, pair) for name, pair in scene.pairs.items()}
     return GainAnswer(values | {"gains": pairs}, is_stable=is_any)
+
+
+def _around(scene: GainScene, pair: dict[str, float]) -> GainAnswer:
+    """The verdict on a pair, and the stable values of each gain at the other one."""
+    if not scene.is_range:
+        return scene.stable.around(pair)
+    verdict = scene.stable.verdict(*pair.values())
+    return GainAnswer(pair | {"verdict": verdict}, scene.stable.formats, verdict == Verdict.STABLE)
+
+
+def _checked(scene: GainScene, pair: dict[str, float]) -> GainAnswer:
+    """The same with the spectral radius and, of stable gains, the margins."""
+    found = _around(scene, pair)
+    verdict = found.values["verdict"]
+    if scene.is_range:
+        return found
+    radius, margins = scene.loop.spectral_radius(**pair), dict[str, Any]()
+    if verdict == Verdict.STABLE:
+        own = scene.loop.frequency_margins(**pair)
+        margins["margins_over_frequency"] = frequency_answer(
+            own, in_full=bool(scene.wanted["frequency"])
+        )
+        names = (f"{name}_factors" for name in (*pair, "both"))
+        for name, (low, high) in zip(names, scene.loop.margins(**pair)[3:6], strict=True):
+            margins[name] = (*without_noise([low, high], high - low).tolist(),)
+    radii = {"spectral_radius": float(radius.value), "radius_error": float(radius.error)}
+    values = pair | {"verdict": verdict} | radii | margins | found.values
+    return replace(found, values=values, is_stable=verdict == Verdict.STABLE)
 
 
 def check_gains(scene: GainScene) -> GainAnswer:
@@ -297,7 +287,7 @@ def check_gains(scene: GainScene) -> GainAnswer:
     if not scene.pairs:
         names = " and ".join(gain.name for gain in scene.loop.gains)
         raise ValueError(f"gains is empty; give at least one pair, [gains.NAME] with {names}.")
-    pairs = {name: _around(scene, pair, in_full=True) for name, pair in scene.pairs.items()}
+    pairs = {name: _checked(scene, pair) for name, pair in scene.pairs.items()}
     return GainAnswer(_stated(scene) | {"gains": pairs})
 
 
@@ -308,105 +298,12 @@ def explain_gains(scene: GainScene) -> str:
 
 
 def _stated(scene: GainScene) -> dict[str, Any]:
-    """The range for which answers hold, in words."""
+    """The inputs of answers, the loop, its numbers and its device, and the safety."""
     own = {name: value for name, value in scene.tables["loop"].items() if name != "kind"}
     given = ", ".join(f"{name} = {value}" for name, value in own.items())
-    values = {"loop": scene.loop.words, "given": given, "safety": scene.wanted["safety"]}
-    values["device"] = basis_of(scene.held) if scene.held else None
-    return {"inputs": GainAnswer(values, {"safety": Quantity()})}
-
-
-def _limits(scene: GainScene) -> tuple[GainLimit, GainLimit]:
-    """The limits of both gains, times the safety; RuntimeError where they are not resolved."""
-    limits, safety = scene.loop.limits(), scene.wanted["safety"] or 1.0
-    if limits.status == RegionStatus.UNRESOLVED:
-        raise RuntimeError("the stable region was not resolved; change one value a little.")
-    factors = {"largest": safety, "least": 1.0 / safety}
-    first, second = (own._replace(value=own.value * factors[own.gain.sense]) for own in limits[:2])
-    return first, second
-
-
-def _limit(scene: GainScene, limit: GainLimit) -> GainAnswer:
-    """A limit and the other gain there, to be printed as a stable pair."""
-    own, value, at = limit
-    other, is_largest = _other(scene, own), own.sense == "largest"
-    name = f"{own.sense}_{own.name}"
-    if value == inf:
-        return GainAnswer({name: value}, {name: Quantity(own.unit)})
-    if isfinite(value):
-        inside = value * (1.0 - 2e-4 if is_largest else 1.0 + 2e-4)
-        at = _beside(scene.loop.intervals(**{own.name: inside}), at)
-    way, allows = ROUND_FLOOR if is_largest else ROUND_CEILING, partial(_is_stable, scene, own)
-    value, at = stable_pair(value, at, (4, 6), allows, way=way)
-    is_proved = isinstance(value, Printed)
-    certainty = "proved for every environment" if is_proved else "not proved"
-    return GainAnswer(
-        {
-            name: value,
-            f"at_{other.name}": at,
-            "certainty": certainty if scene.is_range or not is_proved else None,
-        },
-        {name: Quantity(own.unit), f"at_{other.name}": Quantity(other.unit)},
-        is_proved,
-    )
-
-
-def _beside(row: StableLine, at: float) -> float:
-    """A gain inside of a row: a given one or, where that is in a corner, one between the ends."""
-    if not row.intervals or row.holding(at):
-        return at
-    low, high = (max(end.value, 0.0) for end in row.intervals[-1])
-    return 0.5 * (low + min(high, 3.0 * low + 1.0))
-
-
-def _other(scene: GainScene, own: Gain) -> Gain:
-    return scene.loop.gains[1 - scene.loop.gains.index(own)]
-
-
-def _is_stable(scene: GainScene, own: Gain, value: float, other: float) -> bool:
-    """True if a value of a gain, and one of the other, are >= 0 and stable."""
-    pair = (value, other) if own == scene.loop.gains[0] else (other, value)
-    return min(pair) >= 0.0 and scene.verdict(*pair) == Verdict.STABLE
-
-
-def _row(scene: GainScene, fixed: Gain, value: float, around: float = nan) -> GainAnswer:
-    """The stable values of the other gain: first those around one, or small ones."""
-    own, line = _other(scene, fixed), scene.loop.intervals(**{fixed.name: value})
-    found = stable_intervals(line, scene.wanted["safety"] or 1.0, around)
-    least = 0.0 if own.sense == "least" else -inf  # a mass is not negative
-    first, *others = [(max(low, least), high) for low, high in found if high > 0.0] or [(nan, nan)]
-    names, limits = (f"{own.name}_limits", f"other_{own.name}"), Quantity(own.unit, 4)
-    return GainAnswer(
-        {f"at_{fixed.name}": value, names[0]: first, names[1]: numbered(others)},
-        {f"at_{fixed.name}": Quantity(fixed.unit, GIVEN), **dict.fromkeys(names, limits)},
-    )
-
-
-def _around(scene: GainScene, pair: dict[str, float], *, in_full: bool = False) -> GainAnswer:
-    """The verdict on a pair, and the stable values of each gain at the other one."""
-    verdict = scene.verdict(*pair.values())
-    values: dict[str, Any] = {**pair, "verdict": verdict}
-    own_formats = {x.name: Quantity(x.unit, GIVEN) for x in scene.loop.gains}
-    formats = quantities(WallCheck) | own_formats
-    if scene.is_range:
-        return GainAnswer(values, formats, verdict == Verdict.STABLE)
-    if in_full:
-        radius = scene.loop.spectral_radius(**pair)
-        values["spectral_radius"] = float(radius.value)
-        values["radius_error"] = float(radius.error)
-    if in_full and verdict == Verdict.STABLE:
-        margins = scene.loop.frequency_margins(**pair)
-        values["frequency"] = frequency_answer(margins, in_full=bool(scene.wanted["frequency"]))
-        names = [f"{name}_factors" for name in (*pair, "both")]
-        for name, (low, high) in zip(names, scene.loop.margins(**pair)[3:6], strict=True):
-            values[name] = (*without_noise([low, high], high - low).tolist(),)
-        formats |= dict.fromkeys(names, Quantity("", 4))
-    for own in scene.loop.gains:
-        fixed = _other(scene, own)
-        row = _row(scene, fixed, pair[fixed.name], pair[own.name])
-        values |= {name: value for name, value in row.values.items() if name[:3] != "at_"}
-        formats |= row.formats
-    return GainAnswer(values, formats, verdict == Verdict.STABLE)
+    device = basis_of(scene.held) if scene.held else None
+    inputs = GainAnswer({"loop": scene.loop.words, "given": given, "device": device})
+    return {"inputs": inputs, "safety": scene.wanted["safety"]}
 
 
 def tune_gains(scene: GainScene) -> GainAnswer:
@@ -415,7 +312,7 @@ def tune_gains(scene: GainScene) -> GainAnswer:
     values = _stated(scene) | {"status": best.status}
     if isfinite(best.radius):
         pair = {name: float(f"{gain:.6g}") for name, gain in best.gains.items()}
-        values["least_radius"] = _around(scene, pair, in_full=True)
+        values["least_radius"] = _checked(scene, pair)
         more = {name: 3.0 * gain for name, gain in best.gains.items()}
         slower = float(scene.loop.spectral_radius(**more).value) - best.radius
         if slower <= 1e-6 * (1.0 - best.radius):  # as that of a coupling's devices together
@@ -431,62 +328,30 @@ def design_gains(scene: GainScene) -> GainAnswer:
     if len(asked) != 1:
         both = " and ".join(gain.name for gain in scene.loop.gains)
         raise ValueError(f"wanted has {len(asked)} of {both}; give the one to design for.")
-    own = asked[0]
-    t.checked(f"wanted.{own.name}", scene.wanted[own.name], t.quantity(own.unit, is_positive=True))
-    section = scene.tables["controller" if scene.held else "loop"]
+    own, goal, place = asked[0], scene.wanted[asked[0].name], "controller" if scene.held else "loop"
+    t.checked(f"wanted.{own.name}", goal, t.quantity(own.unit, is_positive=True))
+    section = scene.tables[place]
     period = "step" if "step" in section else "sample_time"
     late = "delay_steps" if period == "step" else "delay" if "delay" in section else "delay_samples"
-    now = _limit(scene, _limits(scene)[scene.loop.gains.index(own)])
-    values = {own.name: scene.wanted[own.name], "now": replace(now, is_stable=True)}
-    values |= {name: _largest(scene, own, section[period], name) for name in (period, late)}
-    return GainAnswer(_stated(scene) | values, {own.name: Quantity(own.unit, GIVEN)})
 
+    def at(name: str, value: Any) -> StableGains:
+        return scene.from_table(
+            t.with_value(scene.tables, f"{place}.{name}", value, [place, name])
+        ).stable
 
-def _largest(scene: GainScene, own: Gain, period: float, name: str) -> GainAnswer:
-    """The largest value of a key that allows the wanted gain, which is taken to fall with it."""
-    axis, goal, other = scene.loop.gains.index(own), scene.wanted[own.name], _other(scene, own)
-    place = ["controller" if scene.held else "loop", name]
-    kind: Any = int if "delay" in name and not scene.held else float  # of steps, or samples
-    is_time = name in ("step", "sample_time", "delay")
-
-    def at(value: float) -> GainScene:
-        return scene.from_table(t.with_value(scene.tables, ".".join(place), kind(value), place))
-
-    @cache
-    def limit(value: float) -> GainLimit:
-        return _limits(at(value))[axis]
-
-    def spare(value: float) -> float:
-        """The rest of the limit, relative; -1 where no gains are stable."""
-        try:
-            found = limit(float(kind(value))).value
-        except ValueError:  # beyond what a filter, or the longest delay, allows
-            return -1.0
-        share = found / goal if own.sense == "largest" else goal / max(found, 1e-300)
-        return -1.0 if isnan(share) else min(max(share - 1.0, -1.0), 1e6)
-
-    if "delay" in name:
-        start = period if is_time else 1.0
-        ends = 0.0, 256.0 * start
-    else:
-        at(0.7317 * period)  # refuses a window in s, which goes with few sample times
-        start, ends = period, (period / 1024.0, 1024.0 * period)
-    value, status = largest_value(spare, start, *ends)
-    near = nan
-    if status != DesignStatus.NONE:
-        value = float(kind(value))
-        row = at(value if kind is int else value * (1.0 - 2e-4)).loop.intervals(**{own.name: goal})
-        near = _beside(row, limit(value).at)
-        value, near = stable_pair(
-            value, near, (4, 6), lambda one, two: _is_stable(at(one), own, goal, two)
-        )
-    names = f"largest_{name}", f"at_{other.name}"
-    words = status.words.replace("stiffness", "gain")
-    return GainAnswer(
-        {names[0]: value, names[1]: near, "status": words},
-        {names[0]: Quantity("s" if is_time else ""), names[1]: Quantity(other.unit)},
-        status != DesignStatus.NONE,
+    start = section[period]
+    at(period, 0.7317 * start)  # refuses a window in s, which goes with few sample times
+    unit = start if late == "delay" else 1.0
+    is_whole = not scene.held  # steps, or samples
+    now = scene.stable.limit(own, *scene.stable.found(own))
+    values = {own.name: goal, "now": replace(now, is_stable=True)}
+    values[period] = largest_value(
+        period, partial(at, period), own, goal, start, (start / 1024.0, 1024.0 * start)
     )
+    values[late] = largest_value(
+        late, partial(at, late), own, goal, unit, (0.0, 256.0 * unit), is_whole=is_whole
+    )
+    return GainAnswer(_stated(scene) | values, scene.stable.formats)
 
 
 _ANSWERS: Mapping[str, Callable[[GainScene], GainAnswer]] = {
@@ -558,45 +423,25 @@ class MeasuredScene:
             )
         if command == "check" and not self.walls:
             raise ValueError("walls is empty; give at least one wall with stiffness and damping.")
-        loop = self.loop
-        stated = {
+        loop, stable = self.loop, StableGains(self.loop, units=self.units)
+        inputs = {
             "device": str(loop.device),
             "velocity": str(loop.velocity or "the difference over one sample (assumed)"),
             "position": None if loop.position is None else str(loop.position),
             "delay": f"{loop.delay_samples:g} samples beside what was measured",
             "certainty": MEASURED,
         }
-        values: dict[str, Any] = {"inputs": GainAnswer(stated)}
+        values: dict[str, Any] = {"inputs": GainAnswer(inputs), "safety": None}
+        walls = {name: stable.around(dict(vars(wall))) for name, wall in self.walls.items()}
         if command == "limits":
-            stiffness, at_damping, damping, at_stiffness = loop.limits()[:4]
-            stiffest = {"largest_stiffness": stiffness, "at_damping": at_damping}
-            damped = {"largest_damping": damping, "at_stiffness": at_stiffness}
-            values |= {"stiffest": self._shown(stiffest), "most_damped": self._shown(damped)}
-        walls = {name: self._wall(own, command == "check") for name, own in self.walls.items()}
+            first, second = loop.gains
+            values |= {"best": stable.limit(first, *loop.limits()[:2])}
+            values |= {"most_damped": stable.limit(second, *loop.limits()[2:4])}
+        for name, own in walls.items() if command == "check" else ():
+            found = loop.frequency_margins(*vars(self.walls[name]).values())
+            margins = frequency_answer(found, in_full=self.asks_frequency)
+            walls[name] = replace(own, values=own.values | {"margins_over_frequency": margins})
         return GainAnswer(values | {"walls": walls})
-
-    def _wall(self, wall: Wall, in_full: bool) -> GainAnswer:
-        loop, gains = self.loop, Gains(wall.stiffness, wall.damping)
-        verdict = Verdict(int(loop.verdict(*gains)))
-        values: dict[str, Any] = {**gains._asdict(), "verdict": verdict}
-        rows = loop.stiffness_intervals(gains.damping), loop.damping_intervals(gains.stiffness)
-        for (name, gain), row in zip(gains._asdict().items(), rows, strict=True):
-            ends = ((low.value, high.value) for low, high in row.intervals)
-            found = sorted((not low <= gain <= high, (low, high)) for low, high in ends)
-            values[f"{name}_limits"] = found[0][1] if found else None
-            plural = {"stiffness": "stiffnesses", "damping": "dampings"}[name]
-            values[f"other_{plural}"] = numbered(own for _, own in found[1:])
-        if in_full:
-            margins = loop.frequency_margins(*gains)
-            values["frequency"] = frequency_answer(margins, in_full=self.asks_frequency)
-        return replace(self._shown(values), is_stable=verdict == Verdict.STABLE)
-
-    def _shown(self, values: dict[str, Any]) -> GainAnswer:
-        formats = quantities(AroundWall) | quantities(StiffestWall) | quantities(WallVerdict)
-        known = {k: v for k, v in values.items() if not (isinstance(v, float) and not isfinite(v))}
-        return GainAnswer(
-            known, {k: replace(v, unit=self.units.unit(v.unit)) for k, v in formats.items()}
-        )
 
 
 def any_scene(tables: Mapping[str, Any], source: str = "", *, may_be_measured: bool = False) -> Any:

@@ -23,12 +23,13 @@ from jaxstab.numbers import checked_count, checked_number
 from jaxstab.scene.answers import (
     Answer,
     Damping,
+    GainAnswer,
     GivenDamping,
     GivenStiffness,
     Quantity,
+    SpareGain,
+    SpareTime,
 )
-from jaxstab.scene.check import SpareGain, SpareTime
-from jaxstab.scene.gains import GainAnswer
 from jaxstab.scene.loops import BUT_FOR_DRIFT
 from jaxstab.scene.robots import MOST_BYTES, joints_of, model_of, optional
 from jaxstab.scene.scene import Units

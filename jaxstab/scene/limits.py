@@ -1,8 +1,15 @@
-"""The limits of a scene: the largest stiffness and damping, beside the simple rules."""
+"""The limits of gains: their largest and least values, the stable ones of a row, and around pairs.
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
-from math import isfinite, nan
+``StableGains`` has them for the walls of a held device and for any other two gains; a limit is
+printed as a stable pair, proved. ``scene_limits`` gives those of walls beside the simple rules.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from decimal import ROUND_CEILING, ROUND_FLOOR
+from functools import partial
+from itertools import product
+from math import inf, isfinite, nan
 from typing import Any
 
 import numpy as np
@@ -11,29 +18,20 @@ from jaxstab import paper
 from jaxstab.conventions import Verdict
 from jaxstab.exact import LineStatus, StableLine
 from jaxstab.exact.line import End
-from jaxstab.loop import Gains, HapticLoop, WallLimits, WallRegion
+from jaxstab.loop import Gain, Gains, HapticLoop, WallLimits
 from jaxstab.model import Velocity
 from jaxstab.region import RegionStatus
 from jaxstab.scene.answers import (
     Answer,
-    Basis,
-    DampingLimits,
-    GivenDamping,
-    GivenStiffness,
-    LargestDamping,
-    LargestStiffness,
-    Number,
+    GainAnswer,
     Quantity,
-    Stiffness,
-    StiffnessLimits,
     basis_of,
+    formats_of,
     printed_wall,
 )
 from jaxstab.scene.loops import (
     BUT_FOR_DRIFT,
     Floats,
-    StiffestWall,
-    WallVerdict,
     at_lowest,
     delays_of,
     hands_of,
@@ -41,135 +39,230 @@ from jaxstab.scene.loops import (
     limit_for_all,
     loop_of,
     loops_over_delays,
-    verdict_with_drift,
+    stiffest_wall,
+    wall_code,
     wall_for_all,
     wall_region,
     walls_of,
     with_safety,
     worst_on,
 )
-from jaxstab.scene.scene import Scene
-from jaxstab.shown import table_text
+from jaxstab.scene.scene import Scene, Units
+from jaxstab.shown import Printed, exact_text, stable_pair, table_text
 
 _SEE_BELOW = " (all hands: see below)"
 
 
 @dataclass(frozen=True)
-class MostDampedWall(Answer):
-    """The largest stable damping, and where it is reached."""
+class StableGains:
+    """The stable gains of a loop, and of others beside it, times a factor of safety."""
 
-    largest_damping: LargestDamping
-    at_stiffness: Stiffness
+    loop: Any  # of two gains
+    safety: float = 1.0
+    besides: tuple[Any, ...] = ()  # loops for which rows are to be stable, too
+    units: Units = Units.LINE
+
+    @property
+    def certainty(self) -> str | None:
+        """The certainty of a limit that is proved, if it is to be said."""
+        return None
+
+    def verdict(self, first: float, second: float) -> Verdict | str:
+        """The verdict on two gains."""
+        names = (gain.name for gain in self.loop.gains)
+        return Verdict(int(self.loop.verdict(**dict(zip(names, (first, second), strict=True)))))
+
+    @property
+    def formats(self) -> dict[str, Quantity]:
+        """The formats of what answers say of the gains."""
+        return formats_of({gain.name: self.units.unit(gain.unit) for gain in self.loop.gains})
+
+    def other(self, own: Gain) -> Gain:
+        """The other gain."""
+        return next(gain for gain in self.loop.gains if gain != own)
+
+    def is_stable(self, own: Gain, value: float, other: float) -> bool:
+        """True if a value of a gain, and one of the other, are stable."""
+        pair = (value, other) if own == self.loop.gains[0] else (other, value)
+        return self.verdict(*pair) in (Verdict.STABLE, BUT_FOR_DRIFT)
+
+    def found(self, own: Gain) -> tuple[float, float]:
+        """The limit of a gain, and the other gain there; RuntimeError where it is not resolved."""
+        limits = self.loop.limits()
+        if limits.status == RegionStatus.UNRESOLVED:
+            raise RuntimeError("the stable region was not resolved; change one value a little.")
+        limit = limits[self.loop.gains.index(own)]
+        return limit.value, limit.at
+
+    def limit(self, own: Gain, value: float, at: float) -> GainAnswer:
+        """A limit of a gain times the safety, and the other gain there, as a stable pair."""
+        other, is_largest = self.other(own), own.sense == "largest"
+        value *= self.safety if is_largest else 1.0 / self.safety
+        names = f"{own.sense}_{own.name}", f"at_{other.name}"
+        if value == inf:
+            return GainAnswer({names[0]: value}, self.formats)
+
+        def row(beside: float) -> list[tuple[float, float]]:  # of which the upper ends are tried
+            ends = inner_ends(self.loop.intervals(**{other.name: beside})) if is_largest else []
+            return [(low, high) for low, high in ends if (high > 0.0) == (value > 0.0)]
+
+        way, allows = ROUND_FLOOR if is_largest else ROUND_CEILING, partial(self.is_stable, own)
+        pair = stable_pair(value, at, (4, 6), allows, row, way)
+        if isfinite(value) and not isinstance(pair[0], Printed):  # at a corner
+            inside = value * (1.0 - 2e-4 if is_largest else 1.0 + 2e-4)
+            at = self.beside(own, inside, at)
+            pair = stable_pair(value, at, (4, 6), allows, row, way)
+        is_proved = isinstance(pair[0], Printed)
+        words = self.certainty if is_proved else "not proved" if isfinite(value) else None
+        values: dict[str, Any] = dict(zip(names, pair, strict=True))
+        return GainAnswer(values | ({"certainty": words} if words else {}), self.formats, is_proved)
+
+    def beside(self, own: Gain, value: float, at: float) -> float:
+        """The other gain: a given one, or one between the ends of the last stable interval."""
+        line = self.loop.intervals(**{own.name: value})
+        if not line.intervals or line.holding(at):
+            return at
+        low, high = (max(end.value, 0.0) for end in line.intervals[-1])
+        return 0.5 * (low + min(high, 3.0 * low + 1.0))
+
+    def row(self, fixed: Gain, value: float, around: float = nan) -> dict[str, Any]:
+        """The stable values of the other gain: first those around one, or small ones."""
+        own, loops = self.other(fixed), (self.loop, *self.besides)
+        lines = [loop.intervals(**{fixed.name: value}) for loop in loops]
+        found = stable_intervals(lines, self.safety, around)
+        if own.sense == "least":  # a mass is not negative
+            found = [(max(low, 0.0), high) for low, high in found if high > 0.0] or [(nan, nan)]
+        first, *others = found
+        return {f"{own.name}_limits": first, f"other_{own.name}": numbered(others)}
+
+    def at(self, fixed: Gain, value: float | None) -> GainAnswer | None:
+        """The row at a given value, if there is one, with that."""
+        if value is None:
+            return None
+        given = {f"at_{fixed.name}": Printed(value, exact_text(value))}
+        return GainAnswer(given | self.row(fixed, value), self.formats)
+
+    def around(self, pair: Mapping[str, float]) -> GainAnswer:
+        """The verdict on a pair of gains, and the stable values of each at the other one.
+
+        It is stable if that is so with the safety, too.
+        """
+        (first, one), (second, two) = zip(self.loop.gains, pair.values(), strict=True)
+        values: dict[str, Any] = {**pair, "verdict": self.verdict(one, two)}
+        values |= self.row(second, two, one) | self.row(first, one, two)
+        low, high = values[f"{first.name}_limits"]
+        is_stable = values["verdict"] == Verdict.STABLE and low <= one <= high
+        return GainAnswer(values, self.formats, is_stable or values["verdict"] == BUT_FOR_DRIFT)
 
 
-@dataclass(frozen=True)
-class AroundWall(Answer):
-    """The stable stiffnesses at the damping of a wall, or the dampings at its stiffness, or both.
+def numbered(values: Iterable[Any]) -> dict[str, Any]:
+    """Return values by their numbers, from 1 on."""
+    return {str(number): value for number, value in enumerate(values, 1)}
 
-    Of several intervals the one that holds small gains, or the wall, comes first; unstable gains
-    lie between it and the others. ``linear_rule_stiffness`` is the largest one of the linear rule,
-    ``exception`` says that the wall is not stable, or not proved, for other hands of the scene.
+
+def stable_intervals(
+    lines: Sequence[StableLine], safety: float, value: float
+) -> list[tuple[float, float]]:
+    """The intervals that are in all lines, times the safety: that of a value comes first.
+
+    Else that of small gains does, or the farthest. ValueError where they are not resolved.
     """
-
-    at_damping: GivenDamping | None = None
-    stiffness_limits: StiffnessLimits | None = None
-    other_stiffnesses: dict[str, StiffnessLimits] = field(default_factory=dict)
-    linear_rule_stiffness: LargestStiffness | None = None
-    at_stiffness: GivenStiffness | None = None
-    damping_limits: DampingLimits | None = None
-    other_dampings: dict[str, DampingLimits] = field(default_factory=dict)
-    verdict: str | None = None
-    exception: str | None = None
-
-    @property
-    def is_within(self) -> bool:
-        """True if the wall is within the limits of the hand at its lowest values."""
-        low, high = self.stiffness_limits or (nan, nan)
-        return low < (self.at_stiffness or 0.0) < high
-
-    @property
-    def is_stable(self) -> bool:
-        """True if the wall is stable for every hand, but for a position that drifts."""
-        return (self.is_within or self.verdict is not None) and self.exception is None
+    if any(line.status == LineStatus.UNDECIDED for line in lines):
+        raise ValueError(
+            "the intervals of stable gains were not resolved; change one value a little."
+        )
+    common = [(-inf, inf)]
+    for line in lines:
+        pairs = product(common, inner_ends(line))
+        common = [(max(a, c), min(b, d)) for (a, b), (c, d) in pairs if max(a, c) <= min(b, d)]
+    scaled = [inwards(low, high, safety) for low, high in common]
+    scaled = [(low, high) for low, high in scaled if low <= high] or [(nan, nan)]
+    holding = [k for k, (low, high) in enumerate(scaled) if low <= value <= high]
+    small = [k for k, (low, high) in enumerate(scaled) if low <= 0.0 < high]
+    (first,) = (holding or small or [len(scaled) - 1])[:1]
+    return [scaled[first], *scaled[:first], *scaled[first + 1 :]]
 
 
-@dataclass(frozen=True)
-class Limits(Answer):
-    """The limits of a scene, with the hand at its lowest values; ``all_hands`` has all of them.
-
-    Over a range of delays that are constant the best wall, the only limit, is for all hands.
-    """
-
-    inputs: Basis
-    safety: Number | None
-    hand: str | None
-    best: StiffestWall
-    most_damped: MostDampedWall | None = None
-    reached: str | None = None
-    islands: dict[str, StiffestWall] = field(default_factory=dict)
-    passive: StiffestWall | None = None
-    linear_rule: StiffestWall | None = None
-    windows: dict[str, StiffestWall] = field(default_factory=dict)
-    at_given_damping: AroundWall | None = None
-    at_given_stiffness: AroundWall | None = None
-    walls: Mapping[str, AroundWall | WallVerdict] = field(default_factory=dict)
-    all_hands: StiffestWall | None = None
-
-    @property
-    def all_stable(self) -> bool:
-        """True if there are stable walls, one proved for all hands, and all of the scene are."""
-        every = self.all_hands or self.best, *self.walls.values()
-        return all(wall.is_stable for wall in every)
+def inner_ends(line: StableLine) -> list[tuple[float, float]]:
+    """The ends of the intervals of a line, within their errors; measured ones are inside."""
+    if line.status == LineStatus.MEASURED:
+        return [(low.value, high.value) for low, high in line.intervals]
+    return [(_inner(low, 1.0), _inner(high, -1.0)) for low, high in line.intervals]
 
 
-def brief(answer: Limits, *, islands: bool = False) -> str:
-    """Return the estimator, the delay, the largest stiffness and each wall, one on each line."""
+def _inner(end: End, way: float) -> float:
+    """An end, or the next number inside that is proved; 0 where it cannot be told from that."""
+    return 0.0 if abs(end.value) <= end.error else end.value + way * end.error
+
+
+def inwards(low: float, high: float, safety: float) -> tuple[float, float]:
+    """Return the limits of an interval, each moved inwards by a factor; NaN where nothing stays."""
+    # Limits of one sign are moved away from it: a lower one above 0 is divided by the factor.
+    low = low * safety if low < 0.0 else low / safety
+    high = high * safety if high > 0.0 else high / safety
+    return (low, high) if low <= high else (nan, nan)
+
+
+# What limits say in short.
+
+
+def brief(answer: GainAnswer, *, islands: bool = False) -> str:
+    """Inputs that are easily overlooked, main limits, and pairs of gains, one on each line."""
     lines, said = answer.inputs.facts(), {path: words for path, _, words in answer.leaves()}
+    values, hand = answer.values, answer.values.get("hand")
+    kind = "wall" if "walls" in values else "gains"
 
-    def limit(key: str, *more: str | None) -> str:
-        stiffness, damping = said[f"{key}.largest_stiffness"], said[f"{key}.at_damping"]
-        if stiffness == Quantity.absent:
-            return "no stable wall"
-        return ", ".join([f"{stiffness} at {damping}", *filter(None, more)])
+    def limit(key: str, names: Iterable[str], *more: str | None) -> str:
+        own, *at = (said[path] for name in names if (path := f"{key}.{name}") in said)
+        words = [" at ".join([own, *at]), *filter(None, more)]
+        return ", ".join(words) if own != Quantity.absent else f"no stable {kind}"
 
-    if answer.safety is not None:
-        lines["safety factor"] = f"{said['safety']}, applied to every limit"
-    hand = answer.hand and f"hand {answer.hand.removesuffix(_SEE_BELOW)}"
-    lines["largest stiffness"] = limit("best", said.get("best.certainty"), hand)
-    if answer.all_hands:
-        lines["for all hands"] = limit("all_hands", said["all_hands.certainty"])
-    if "reached" in said:
-        lines["note"] = said["reached"]
-    for gain, fixed in (("stiffness", "damping"), ("damping", "stiffness")):
-        key = f"at_given_{fixed}"
-        if f"{key}.at_{fixed}" in said:
-            place, others = said[f"{key}.at_{fixed}"], others_in_words(f"{key}.other_{gain}", said)
-            lines[f"stable {gain}"] = f"{said[f'{key}.{gain}_limits_low']} at {place}{others}"
-    for name, wall in answer.walls.items():
-        lines[f"wall {name}"] = _wall_text(wall, f"walls.{name}", said)
-    for name, island in answer.islands.items():
-        if islands:
-            lines[f"island {name}"] = limit(f"islands.{name}", island.reached)
-        elif island.largest_stiffness > 0.0 and island.at_damping >= 0.0:
-            lines["islands"] = "stable walls that are not connected to zero gains: see --islands"
+    for key, found in values.items():
+        names = [*found.values] if isinstance(found, GainAnswer) else []
+        first, second, *_ = *names, "", ""
+        if key == "safety" and found is not None:
+            lines["safety factor"] = f"{said[key]}, applied to every limit"
+        elif key in ("limits", "reached") and found:
+            lines["note"] = found
+        elif key == "all_hands" and found:
+            lines["for all hands"] = limit(key, (first, second), found.certainty)
+        elif key == "best" or ("best" not in values and first.startswith(("largest_", "least_"))):
+            more = said.get(f"{key}.certainty"), hand and f"hand {hand.removesuffix(_SEE_BELOW)}"
+            lines[first.replace("_", " ")] = limit(key, (first, second), *more)
+        elif key.startswith("at_given_") and found:
+            own = second.removesuffix("_limits")
+            ends = f"{said[f'{key}.{second}_low']} at {said[f'{key}.{first}']}"
+            lines[f"stable {own}"] = ends + others_in_words(f"{key}.other_{own}", said)
+        elif key in ("walls", "gains"):
+            for name, pair in found.items():
+                lines[f"{kind} {name}"] = _pair_text(pair, f"{key}.{name}.", said)
+        elif key == "islands":
+            for name, island in found.items():
+                if islands:
+                    words = limit(f"islands.{name}", [*island.values][:2], island.reached)
+                    lines[f"island {name}"] = words
+                elif island.largest_stiffness > 0.0 and island.at_damping >= 0.0:
+                    words = "stable walls that are not connected to zero gains: see --islands"
+                    lines["islands"] = words
     return table_text([*lines.items()])
 
 
-def _wall_text(wall: WallVerdict | AroundWall, key: str, said: dict[str, str]) -> str:
-    """Return the gains of a wall, and its verdict or the stiffness limits at its damping."""
-    if isinstance(wall, WallVerdict):
-        names = (f"{key}.{name}" for name in ("verdict", "worst_delays"))
-        words = ", ".join(said[name] for name in names if name in said)
-        return f"{said[f'{key}.stiffness']} at {said[f'{key}.damping']}, {words}"
-    limits, place = said[f"{key}.stiffness_limits_low"], "within" if wall.is_within else "outside"
-    gains = f"{said[f'{key}.at_stiffness']} at {said[f'{key}.at_damping']}"
-    exception = f"; {wall.exception}" if wall.exception else ""
-    if wall.verdict is not None:
-        return f"{gains}, {wall.verdict}{exception}"
-    if limits != Quantity.absent:
-        others = others_in_words(f"{key}.other_stiffness", said)
-        return f"{gains}, {place} the stable range of {limits}{others}{exception}"
-    return f"{gains}, where no stiffness is stable"
+def _pair_text(pair: Answer, key: str, said: Mapping[str, str]) -> str:
+    """A pair of gains, and its verdict or the limits of the first one at the second."""
+    own, other, *_ = pair._values()
+    gains = f"{said[key + own]} at {said[key + other]}"
+    verdicts = (said[key + name] for name in ("verdict", "worst_delays") if key + name in said)
+    ends, exception = said.get(f"{key}{own}_limits_low"), said.get(f"{key}exception")
+    if ends is None or said[f"{key}verdict"] == BUT_FOR_DRIFT:
+        words = f"{gains}, {', '.join(verdicts)}"
+    elif ends == Quantity.absent:
+        words = f"{gains}, where no {own} is stable"
+    else:
+        low, high = getattr(pair, f"{own}_limits")
+        place = "within" if low < getattr(pair, own) < high else "outside"
+        others = others_in_words(f"{key}other_{own}", said)
+        words = f"{gains}, {place} the stable range of {ends}{others}"
+    return "; ".join(filter(None, [words, exception]))
 
 
 def others_in_words(key: str, said: Mapping[str, str]) -> str:
@@ -188,49 +281,80 @@ def stable_in_words(
     return f"{every if ' to ' in ends else f'no {name}'} at {place}"
 
 
-def scene_limits(scene: Scene) -> Limits:
+# The walls of a scene.
+
+
+class StableWalls(StableGains):
+    """The stable walls of a loop, those that drift among them, beside the linear rule."""
+
+    def verdict(self, first: float, second: float) -> Verdict | str:
+        """The verdict on a wall."""
+        return wall_code(self.loop, Gains(first, second))
+
+    def found(self, own: Gain) -> tuple[float, float]:
+        """The limit of a gain, and the other gain there; RuntimeError where it is not resolved."""
+        stiffest, damped = wall_region(self.loop).reachable._quadrant
+        return stiffest if own == self.loop.gains[0] else damped[::-1]
+
+    def row(self, fixed: Gain, value: float, around: float = nan) -> dict[str, Any]:
+        """The stable values of the other gain, and the stiffness of the linear rule."""
+        has_rule = is_plain(self.loop) and fixed.name == "damping"
+        rule = {"linear_rule_stiffness": self.linear_rule(value)} if has_rule else {}
+        return super().row(fixed, value, around) | rule
+
+    def linear_rule(self, damping: float) -> float:
+        """The largest stiffness of the linear rule at a damping."""
+        loop = self.loop
+        limit = paper.linear_alpha_limit(
+            loop.beta(damping), delta=loop.delta, delay=loop.delay_samples
+        )
+        return float(self.safety * loop.stiffness(float(limit)))
+
+
+def scene_limits(scene: Scene) -> GainAnswer:
     """The largest stiffness and damping, the linear rule, the passive limit, all hands.
 
-    Where a safety is wanted, all limits are multiplied by it, towards small gains, and islands,
-    which have no such side, are left out. The linear rule and the passive limit are those of the
-    difference over one sample, and left out for others.
+    They are those of the hand at its lowest values; ``all_hands`` has all of them. Over a range of
+    delays that are constant the best wall, the only limit, is for all hands. Where a safety is
+    wanted, all limits are multiplied by it, towards small gains, and islands, which have no such
+    side, are left out. The linear rule and the passive limit are those of the difference over one
+    sample, and left out for others.
     """
     if not scene.controller.has_one_delay:
         return _over_delays(scene)
     loop, wanted = loop_of(scene), scene.wanted
-    region, safety = wall_region(loop), scene.wanted.safety or 1.0
-    limits = region.limits()
-    damping, stiffness = wanted.at_damping, wanted.at_stiffness
-    rows = _Rows(loop, region, safety)
-    has_rules, islands = is_plain(loop), () if wanted.safety else limits.islands
+    region, stable = wall_region(loop), StableWalls(loop, wanted.safety or 1.0)
+    limits, (of_k, of_b) = region.limits(), loop.gains
     is_any_stable = isfinite(limits.stiffness)  # with K >= 0 and B >= 0
-    isolated = "isolated: not connected to zero gains"
-    return Limits(
-        inputs=basis_of(scene),
-        safety=wanted.safety,
-        hand=at_lowest(scene, _SEE_BELOW),
-        best=StiffestWall(*rows.stiffest(limits.stiffness, limits.at_damping)),
-        most_damped=MostDampedWall(*rows.most_damped(limits.damping, limits.at_stiffness)),
-        reached=None if limits.is_reachable or region.is_empty else "small gains are not stable",
-        islands=numbered(
-            StiffestWall(*rows.stiffest(*own[:2]), *rows.most_damped(*own[2:4]), isolated)
-            for own in islands
-        ),
-        passive=_passive(rows) if has_rules else None,
-        linear_rule=(_linear_rule(rows, limits) if has_rules and is_any_stable else None),
-        windows=_other_windows(loop, safety) if scene.controller.velocity is None else {},
-        at_given_damping=None if damping is None else AroundWall(**rows.at_damping(damping)),
-        at_given_stiffness=(
-            None if stiffness is None else AroundWall(**rows.at_stiffness(stiffness))
-        ),
-        walls={name: _around(scene, rows, wall) for name, wall in walls_of(scene).items()},
-        all_hands=limit_for_all(scene, safety),
+    has_rules, is_reached = is_plain(loop), limits.is_reachable or region.is_empty
+    isolated = {"reached": "isolated: not connected to zero gains"}
+    islands = (
+        stable.limit(of_k, *own[:2]).values | stable.limit(of_b, *own[2:4]).values | isolated
+        for own in (() if wanted.safety else limits.islands)
+    )
+    return GainAnswer(
+        {
+            "inputs": basis_of(scene),
+            "safety": wanted.safety,
+            "hand": at_lowest(scene, _SEE_BELOW),
+            "best": stable.limit(of_k, *limits[:2]),
+            "all_hands": limit_for_all(scene, stable.safety),
+            "most_damped": stable.limit(of_b, *limits[2:4]),
+            "reached": None if is_reached else "small gains are not stable",
+            "islands": numbered(map(GainAnswer, islands)),
+            "passive": _passive(stable) if has_rules else None,
+            "linear_rule": _linear_rule(stable, limits) if has_rules and is_any_stable else None,
+            "windows": _other_windows(stable) if scene.controller.velocity is None else {},
+            "at_given_damping": stable.at(of_b, wanted.at_damping),
+            "at_given_stiffness": stable.at(of_k, wanted.at_stiffness),
+            "walls": {name: _around(scene, stable, wall) for name, wall in walls_of(scene).items()},
+        }
     )
 
 
-def _around(scene: Scene, rows: "_Rows", wall: Gains) -> AroundWall:
+def _around(scene: Scene, stable: StableWalls, wall: Gains) -> GainAnswer:
     """The limits around a wall; other hands are asked only where it is stable at the lowest."""
-    found = rows.around(*wall)
+    found = stable.around(wall._asdict())
     if not found.is_stable or hands_of(scene) is None:
         return found
     ((worst, _),) = worst_on(scene, [wall])
@@ -239,10 +363,10 @@ def _around(scene: Scene, rows: "_Rows", wall: Gains) -> AroundWall:
     words = "not proved for every hand"
     if worst.verdict == Verdict.UNSTABLE:
         words = "unstable for some hand: see jaxstab check"
-    return replace(found, exception=words)
+    return replace(found, values=found.values | {"exception": words}, is_stable=False)
 
 
-def _over_delays(scene: Scene) -> Limits:
+def _over_delays(scene: Scene) -> GainAnswer:
     """Return the stiffest wall that is proved for a range of delays, and the verdicts on walls."""
     wanted, loops, controller = scene.wanted, loops_over_delays(scene), scene.controller
     walls = walls_of(scene)
@@ -266,134 +390,29 @@ def _over_delays(scene: Scene) -> Limits:
         best, is_proved, _ = wall_for_all(scene, safety)
         every = "hand and constant delay" if hands_of(scene) else every
     tried = "not proved" if best.stiffness > 0.0 else "no wall was found"
-    return Limits(
-        inputs=basis_of(scene),
-        safety=wanted.safety,
-        hand=at_lowest(scene, _SEE_BELOW) if controller.moves else None,
-        best=StiffestWall(
-            *best,
-            certainty=f"proved for every {every}" if is_proved else tried,
-            proved_unstable_at=unstable,
-        ),
-        walls={
-            name: verdict
-            for name, (verdict, _) in zip(walls, worst_on(scene, [*walls.values()]), strict=True)
-        },
-        all_hands=limit_for_all(scene, safety) if controller.moves else None,
+    certainty = f"proved for every {every}" if is_proved else tried
+    verdicts = zip(walls, worst_on(scene, [*walls.values()]), strict=True)
+    return GainAnswer(
+        {
+            "inputs": basis_of(scene),
+            "safety": wanted.safety,
+            "hand": at_lowest(scene, _SEE_BELOW) if controller.moves else None,
+            "best": stiffest_wall(best, certainty=certainty, proved_unstable_at=unstable),
+            "all_hands": limit_for_all(scene, safety) if controller.moves else None,
+            "walls": {name: verdict for name, (verdict, _) in verdicts},
+        }
     )
 
 
-@dataclass(frozen=True)
-class _Rows:
-    """The limits of the walls of a region at given gains, times a factor of safety."""
-
-    loop: HapticLoop
-    region: WallRegion
-    safety: float
-
-    def stiffest(self, stiffness: float, damping: float) -> tuple[float, float]:
-        """Return a largest stiffness times the safety as it is printed, NaN if not stable."""
-        return self._printed(stiffness, damping, self.region.stiffness_intervals, Gains)
-
-    def most_damped(self, damping: float, stiffness: float) -> tuple[float, float]:
-        """Return a largest damping times the safety as it is printed, and its stiffness."""
-        rows = self.region.damping_intervals
-        return self._printed(damping, stiffness, rows, lambda b, k: Gains(k, b))
-
-    def _printed(self, limit: float, other: float, rows: Any, wall: Any) -> tuple[float, float]:
-        scaled = self.safety * limit
-        is_inside = self.safety == 1.0 or self.region.reachable.contains(*wall(scaled, other))
-        return printed_wall(
-            scaled if is_inside else nan,
-            other,
-            lambda *gains: self.is_stable(*wall(*gains)),
-            lambda beside: rows(np.array([beside]))[0],
-        )
-
-    def is_stable(self, stiffness: float, damping: float) -> bool:
-        """True if a wall is stable; of one without a spring, a very soft one."""
-        soft = 0.0 if self.region.is_empty else 1e-6 * self.region.extent.stiffness
-        return bool(self.loop.verdict(stiffness or soft, damping) == Verdict.STABLE)
-
-    def at_damping(self, damping: float, stiffness: float = nan) -> dict[str, Any]:
-        """Return the stable stiffnesses at a damping: first those around one, or small ones."""
-        line = self.loop.stiffness_intervals(damping)
-        first, *others = stable_intervals(line, self.safety, stiffness)
-        return {
-            "at_damping": damping,
-            "stiffness_limits": first,
-            "other_stiffnesses": numbered(others),
-            "linear_rule_stiffness": self.linear_rule(damping) if is_plain(self.loop) else None,
-        }
-
-    def at_stiffness(self, stiffness: float, damping: float = nan) -> dict[str, Any]:
-        """Return the stable dampings at a stiffness: first those around one, or small ones."""
-        line = self.loop.damping_intervals(stiffness)
-        first, *others = stable_intervals(line, self.safety, damping)
-        names = "at_stiffness", "damping_limits", "other_dampings"
-        return dict(zip(names, (stiffness, first, numbered(others)), strict=True))
-
-    def around(self, stiffness: float, damping: float) -> AroundWall:
-        """Return both, and the verdict where nothing holds the position."""
-        found = self.at_damping(damping, stiffness) | self.at_stiffness(stiffness, damping)
-        code = verdict_with_drift(self.loop, Gains(stiffness, damping))
-        return AroundWall(**found, verdict=BUT_FOR_DRIFT if code == BUT_FOR_DRIFT else None)
-
-    def linear_rule(self, damping: float) -> float:
-        """Return the largest stiffness of the linear rule at a damping."""
-        loop = self.loop
-        limit = paper.linear_alpha_limit(
-            loop.beta(damping), delta=loop.delta, delay=loop.delay_samples
-        )
-        return self.safety * loop.stiffness(float(limit))
+# The rules of small gains and of passive walls, and other estimators.
 
 
-def numbered(values: Iterable[Any]) -> dict[str, Any]:
-    """Return values by their numbers, from 1 on."""
-    return {str(number): value for number, value in enumerate(values, 1)}
-
-
-def stable_intervals(line: StableLine, safety: float, value: float) -> list[tuple[float, float]]:
-    """Return the intervals of a line, times the safety: that of a value comes first.
-
-    Else that of small gains does, or the farthest. ValueError where they are not proved.
-    """
-    if line.status != LineStatus.PROVED:
-        raise ValueError(
-            "the intervals of stable gains were not resolved; change one value a little."
-        )
-    scaled = [inwards(low, high, safety) for low, high in inner_ends(line)]
-    scaled = [(low, high) for low, high in scaled if low <= high] or [(nan, nan)]
-    holding = [k for k, (low, high) in enumerate(scaled) if low <= value <= high]
-    small = [k for k, (low, high) in enumerate(scaled) if low <= 0.0 < high]
-    (first,) = (holding or small or [len(scaled) - 1])[:1]
-    return [scaled[first], *scaled[:first], *scaled[first + 1 :]]
-
-
-def inner_ends(line: StableLine) -> list[tuple[float, float]]:
-    """The ends of the intervals of a line, within their errors."""
-    return [(_inner(low, 1.0), _inner(high, -1.0)) for low, high in line.intervals]
-
-
-def _inner(end: End, way: float) -> float:
-    """An end, or the next number inside that is proved; 0 where it cannot be told from that."""
-    return 0.0 if abs(end.value) <= end.error else end.value + way * end.error
-
-
-def inwards(low: float, high: float, safety: float) -> tuple[float, float]:
-    """Return the limits of an interval, each moved inwards by a factor; NaN where nothing stays."""
-    # Limits of one sign are moved away from it: a lower one above 0 is divided by the factor.
-    low = low * safety if low < 0.0 else low / safety
-    high = high * safety if high > 0.0 else high / safety
-    return (low, high) if low <= high else (nan, nan)
-
-
-def _linear_rule(rows: "_Rows", limits: WallLimits) -> StiffestWall:
-    stiffness = rows.linear_rule(limits.at_damping)
-    exact, words = rows.safety * limits.stiffness, "an approximation for small gains"
+def _linear_rule(stable: StableWalls, limits: WallLimits) -> GainAnswer:
+    stiffness = stable.linear_rule(limits.at_damping)
+    exact, words = stable.safety * limits.stiffness, "an approximation for small gains"
     if exact > 0.0:
         words += f", here {stiffness / exact:.2g} times the exact limit"
-    return StiffestWall(stiffness, limits.at_damping, linear_rule_is=words)
+    return stiffest_wall(Gains(stiffness, limits.at_damping), linear_rule_is=words)
 
 
 def passive_walls(loop: HapticLoop) -> Floats:
@@ -403,19 +422,20 @@ def passive_walls(loop: HapticLoop) -> Floats:
     return np.column_stack([loop.stiffness(corners[:, 0]), loop.damping(corners[:, 1])])
 
 
-def _passive(rows: _Rows) -> StiffestWall:
-    walls = passive_walls(rows.loop)
+def _passive(stable: StableWalls) -> GainAnswer:
+    walls = passive_walls(stable.loop)
     stiffness, damping = walls[np.argmax(walls[:, 0])].tolist() if len(walls) else (0.0, 0.0)
-    return StiffestWall(*printed_wall(rows.safety * stiffness, damping, rows.is_stable))
+    allows = partial(stable.is_stable, stable.loop.gains[0])
+    return stiffest_wall(Gains(*printed_wall(stable.safety * stiffness, damping, allows)))
 
 
-def _other_windows(loop: HapticLoop, safety: float) -> dict[str, StiffestWall]:
+def _other_windows(stable: StableWalls) -> dict[str, GainAnswer]:
     """The largest stiffness with windows that haptics software uses; unresolved ones left out."""
     answers = {}
     for samples in (10, 20):  # 10 and 20 ms at 1 kHz
-        other = replace(loop, velocity=Velocity.difference(samples))
+        other = replace(stable.loop, velocity=Velocity.difference(samples))
         region = other.region()
         if region.status != RegionStatus.UNRESOLVED:
-            stiffest = _Rows(other, region, safety).stiffest(*region.limits()[:2])
-            answers[str(samples)] = StiffestWall(*stiffest)
+            found = replace(stable, loop=other).limit(other.gains[0], *region.limits()[:2])
+            answers[str(samples)] = replace(found, is_stable=True)
     return answers

@@ -10,7 +10,7 @@ from functools import partial
 from itertools import product
 from math import isfinite, isnan, nan
 from operator import add
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,10 +29,9 @@ from jaxstab.region import RegionStatus
 from jaxstab.scene.answers import (
     Answer,
     Damping,
+    GainAnswer,
     GivenDamping,
     GivenStiffness,
-    LargestDamping,
-    LargestStiffness,
     Mass,
     Quantity,
     Stiffness,
@@ -61,10 +60,10 @@ class OneHand(Answer):
 
 
 def wall_region(loop: HapticLoop) -> WallRegion:
-    """The stable walls of a loop; ValueError where the region is not resolved."""
+    """The stable walls of a loop; RuntimeError where the region is not resolved."""
     region = loop.region()
     if region.status == RegionStatus.UNRESOLVED:
-        raise ValueError(
+        raise RuntimeError(
             f"the stable region of a loop with {loop.delay_samples:g} samples of delay, "
             f"{loop.velocity or Velocity()}, was not resolved; change one value a little."
         )
@@ -261,32 +260,17 @@ BUT_FOR_DRIFT = "stable but for the position, which nothing holds"
 _DRIFTS = "nothing holds the position of a damper alone; over ranges the rest is not proved"
 
 
-@dataclass(frozen=True)
-class StiffestWall(Answer):
-    """The largest stable stiffness, and where it is reached.
+def stiffest_wall(wall: Gains, *, certainty: str | None = None, **more: Any) -> GainAnswer:
+    """The largest stable stiffness, and where it is reached; over ranges if the certainty says so.
 
-    An island of stable walls has its largest damping, too, and how it is reached; the rule of
-    small gains says that it is no limit. Over ranges it is the largest that is proved, if the
-    certainty says so, and beside it stands a stiffness proved unstable, or the worst hand.
+    Beside it stand a stiffness proved unstable, the worst hand, or that a rule is no limit.
     """
-
-    largest_stiffness: LargestStiffness
-    at_damping: Damping
-    largest_damping: LargestDamping | None = None
-    at_stiffness: Stiffness | None = None
-    reached: str | None = None
-    linear_rule_is: str | None = None
-    certainty: str | None = None
-    proved_unstable_at: (
-        Annotated[float, Quantity("N/m", infinite="no unstable wall was found there")] | None
-    ) = None
-    worst_hand: OneHand | None = None
-
-    @property
-    def is_stable(self) -> bool:
-        """True if there is such a wall; over ranges by proof."""
-        is_certain = self.certainty is None or self.certainty.startswith("proved")
-        return is_certain and isfinite(self.largest_stiffness)
+    is_certain = certainty is None or certainty.startswith("proved")
+    values = {"largest_stiffness": wall.stiffness, "at_damping": wall.damping}
+    return GainAnswer(
+        values | {"certainty": certainty, **more},
+        is_stable=is_certain and isfinite(wall.stiffness),
+    )
 
 
 @dataclass(frozen=True)
@@ -332,10 +316,7 @@ def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[tuple[WallVerdict, Ha
     is_alone = hands_of(scene) is None
     worst: list[tuple[Any, HapticLoop, float]]  # verdict, loop and radius
     if is_alone and not delays:
-        codes = loop.verdict(*np.array(walls).T)
-        worst = [
-            (verdict_with_drift(loop, w) or c, loop, nan) for w, c in zip(walls, codes, strict=True)
-        ]
+        worst = [(wall_code(loop, gains), loop, nan) for gains in walls]
     elif is_alone and scene.controller.moves:
         worst = [(loop.verdict(*gains, **delays), loop, nan) for gains in walls]
     else:
@@ -368,6 +349,11 @@ def verdict_with_drift(loop: HapticLoop, wall: Gains) -> Verdict | str | None:
     return BUT_FOR_DRIFT if code == Verdict.STABLE else code
 
 
+def wall_code(loop: HapticLoop, wall: Gains) -> Verdict | str:
+    """The verdict on a wall of one loop."""
+    return verdict_with_drift(loop, wall) or Verdict(int(loop.verdict(*wall)))
+
+
 def loops_over_delays(scene: Scene) -> list[HapticLoop]:
     """Return the loops of the shortest and the longest delay; one where these are the same."""
     return [loop_of(with_delay(scene, delay)) for delay in dict.fromkeys(scene.controller.delays)]
@@ -389,7 +375,7 @@ def ranges_of_all(scene: Scene) -> dict[str, Any]:
     return {"hands": range_of_hands(scene), "mass": masses_of(scene), **delays_of(scene)}
 
 
-def limit_for_all(scene: Scene, safety: float) -> StiffestWall | None:
+def limit_for_all(scene: Scene, safety: float) -> GainAnswer | None:
     """The limit for all hands of a scene; None where neither the hand nor the mass varies."""
     if hands_of(scene) is None:
         return None
@@ -399,7 +385,7 @@ def limit_for_all(scene: Scene, safety: float) -> StiffestWall | None:
     proved += " and every sequence of delays" if scene.controller.moves else ""
     tried = "no wall was found" if isnan(best.stiffness) else "not proved"
     certainty, worst = proved if is_proved else tried, held_by(limiting, scene)
-    return StiffestWall(*best, certainty=certainty, worst_hand=worst)
+    return stiffest_wall(best, certainty=certainty, worst_hand=worst)
 
 
 def wall_for_all(scene: Scene, safety: float) -> tuple[Gains, bool, HapticLoop]:
