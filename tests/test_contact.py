@@ -3,7 +3,6 @@
 import re
 import tomllib
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import product
 from math import inf, pi
 from pathlib import Path
@@ -849,7 +848,8 @@ def test_check_proves_what_it_cannot_simulate(changes: dict[str, Any], reason: s
     for name, wall in check.walls.items():
         assert reason in wall.simulated
         assert wall.simulated.startswith("not simulated: ")
-        assert str(replace(wall, simulated=None)) == str(proved.walls[name])
+        del wall.values["simulated"]
+        assert str(wall) == str(proved.walls[name])
 
 
 def test_a_motion_without_an_end_has_no_size() -> None:

@@ -106,8 +106,8 @@ def test_a_damper_has_no_measures_of_a_position_that_nothing_holds() -> None:
     assert wall.verdict == WORDS
     assert wall.measures_are is not None
     assert wall.measures_are.startswith("left out: nothing holds the position")
-    assert wall.stiffness_gain is wall.spectral_radius is wall.extra_delay_moving is None
-    assert wall.settling_status is None
+    left_out = {"stiffness_gain", "spectral_radius", "extra_delay_moving", "settling_status"}
+    assert not left_out & wall.values.keys()
     held = table | {"hand": {"stiffness": 50.0}}
     wall = check_walls(Scene.from_table(held)).walls["damper"]
     assert wall.verdict == Verdict.STABLE

@@ -36,7 +36,7 @@ def test_several_files_are_compared(tmp_path: Path) -> None:
         float(first["best.largest_stiffness"]) == answers[0]["answer"]["best"]["largest_stiffness"]
     )
     assert first["walls.too_stiff.damping"] == "80.0"
-    assert second["walls.too_stiff.at_damping"] == ""
+    assert second["walls.too_stiff.damping"] == ""
     assert not first["refusal"] + second["refusal"]
 
 

@@ -222,7 +222,7 @@ def _checked(wall: _Wall, felt: Simulated | str | None, *, in_full: bool) -> Gai
             found = [method(loop, *wall.gains, **options.get(name, {})) for loop in loops]
             each = tree_map(lambda *parts: np.stack(parts), *found)
             answers |= summarise(wall, loops, each)
-        if name == "margins" and (in_full or (is_unstable and not wall.worst.worst_delays)):
+        if name == "margins" and (in_full or not wall.worst.worst_delays):
             answers |= _stable_around(wall)
     measures = _measures_are(wall) if answers else reason if wanted.measures else None
     values = {**vars(wall.worst), "measures_are": measures, **answers, "simulated": felt}
