@@ -34,8 +34,7 @@ from scipy.special import ndtri
 import jaxstab
 from jaxstab.batches import alike
 from jaxstab.conventions import Verdict
-from jaxstab.loop import HapticLoop, Loop, limits_of
-from jaxstab.loop.many import ManyGainLimits
+from jaxstab.loop import Gain, HapticLoop, Loop, limits_of
 from jaxstab.motion.settling import SettlingStatus
 from jaxstab.numbers import checked, checked_count, checked_number
 from jaxstab.region import RegionStatus
@@ -74,15 +73,8 @@ _NUMBERS = {  # keys of a scene that are numbers of a loop: its fields
     "controller.delay_samples": "delay_samples",
 }
 
-ANSWERS: dict[str, dict[str, Variable]] = {
+ANSWERS: dict[str, dict[str, Variable]] = {  # beside limits
     "verdict": {"verdict": Variable("whether the wall is stable, proved", "1", Verdict)},
-    "limits": {
-        "largest_stiffness": Variable("largest stiffness of a stable wall", "N/m"),
-        "at_damping": Variable("damping at the largest stiffness", "N s/m"),
-        "largest_damping": Variable("largest damping of a stable wall", "N s/m"),
-        "at_stiffness": Variable("stiffness at the largest damping", "N/m"),
-        "limits_status": Variable("what is known of the stable walls", "1", RegionStatus),
-    },
     "margins": {
         "stiffness_gain": Variable("factor by which the stiffness may grow"),
         "damping_gain": Variable("factor by which the damping may grow"),
@@ -96,15 +88,6 @@ ANSWERS: dict[str, dict[str, Variable]] = {
         "spectral_radius": Variable("largest modulus of the poles, per sample"),
         "spectral_radius_error": Variable("proved bound of its error"),
     },
-}
-_FIELDS = {  # of what loops answer, where their names are others than those of the variables
-    "largest_stiffness": "stiffness",
-    "largest_damping": "damping",
-    "limits_status": "status",
-    "settling_time": "value",
-    "settling_status": "status",
-    "spectral_radius": "value",
-    "spectral_radius_error": "error",
 }
 _OF_LOOPS = {  # keys of [loop]: what they are, and their units
     "inertia": ("moment of inertia of the joint", "kg m^2"),
@@ -509,7 +492,7 @@ def _wanted(
     of_walls = [name for name in wanted if name != "limits"]
     if of_walls and not gains:
         raise ValueError(f"answers has {of_walls[0]}, which is of walls; give walls.")
-    return tuple(name for name in ANSWERS if name in wanted)
+    return tuple(name for name in known if name in wanted)
 
 
 # Where loops come from: a loop, or the tables of a scene.
@@ -545,16 +528,19 @@ class _Source:
     @property
     def answers(self) -> dict[str, dict[str, Variable]]:
         """The answers that may be asked for, by name."""
-        if self.of_gains is None:
-            return ANSWERS
-        first, second = self.of_gains.loop.gains
-        limits = dict[str, Variable]()
+        (first, second), limits = self.gains, dict[str, Variable]()
         for own, other in ((first, second), (second, first)):
             name = f"{own.sense} {own.name}"
             limits[name.replace(" ", "_")] = Variable(f"{name} of stable gains", own.unit)
             limits[f"at_{other.name}"] = Variable(f"{other.name} at the {name}", other.unit)
-        limits["limits_status"] = ANSWERS["limits"]["limits_status"]
-        return {"limits": limits, **{k: ANSWERS[k] for k in ("verdict", "spectral_radius")}}
+        limits["limits_status"] = Variable("what is known of the limits", "1", RegionStatus)
+        own = {"verdict": ANSWERS["verdict"], "limits": limits}
+        return own | ({"spectral_radius": ANSWERS["spectral_radius"]} if self.of_gains else ANSWERS)
+
+    @property
+    def gains(self) -> tuple[Gain, Gain]:
+        """The gains of the loops."""
+        return self.of_gains.loop.gains if self.of_gains else HapticLoop.gains
 
     @property
     def numbers(self) -> dict[str, str]:
@@ -760,12 +746,9 @@ class _Block:
 
 
 def _variables(names: Mapping[str, Variable], of: Any) -> dict[str, NDArray[Any]]:
-    """Return the variables of an answer by their names in a study."""
-    if "verdict" in names:
-        return {"verdict": np.asarray(of)}
-    if isinstance(of, ManyGainLimits):
-        return dict(zip(names, map(np.asarray, of), strict=False))
-    return {name: np.asarray(getattr(of, _FIELDS.get(name, name))) for name in names}
+    """The variables of an answer, whose fields have their order; of margins the last ones."""
+    values = [of] if "verdict" in names else of[3:] if "extra_delay" in names else of
+    return dict(zip(names, map(np.asarray, values), strict=False))
 
 
 def _table(
@@ -777,10 +760,9 @@ def _table(
     table = table_of(block, given, block.variables, size, {WALL: len(gains)})
     labels = {c.name: (c.dimension, c.values, *_described(c.key)) for c in columns}
     if WALL in table.dims:
-        scene, what = block.source.of_gains, "gains" if block.source.of_gains else "wall"
+        what = "gains" if block.source.of_gains else "wall"
         labels[WALL] = WALL, np.array([*gains]), f"name of the {what}", "1"
-        named = scene.loop.gains if scene else (("stiffness", "N/m"), ("damping", "N s/m"))
-        for (name, own, *_), values in zip(named, block.gains, strict=True):
+        for (name, own, _), values in zip(block.source.gains, block.gains, strict=True):
             labels[f"{what}_{name}"] = WALL, values, f"{name} of the {what}", own
     unit = block.source.units.unit
     return table.assign_coords(
