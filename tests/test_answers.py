@@ -28,7 +28,6 @@ from jaxstab.scene.answers import (
     FORMATS,
     Answer,
     Quantity,
-    Time,
 )
 from jaxstab.scene.check import in_short
 from jaxstab.scene.scene import Units
@@ -505,7 +504,7 @@ class Sample(Answer):
 
     most: Annotated[float, FORMATS["largest_stiffness"]]
     limits: Annotated[tuple[float, float], FORMATS["stiffness_limits"]]
-    time: Time
+    time: Annotated[float, FORMATS["sample_time"]]
     error: Annotated[float, FORMATS["radius_error"]]
 
 

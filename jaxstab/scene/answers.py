@@ -132,9 +132,7 @@ Damping = Annotated[float, Quantity("N s/m")]
 GivenStiffness = Annotated[float, Quantity("N/m", GIVEN)]
 GivenDamping = Annotated[float, Quantity("N s/m", GIVEN)]
 Mass = Annotated[float, Quantity("kg")]
-Time = Annotated[float, Quantity("s")]
 Frequency = Annotated[float, Quantity("Hz")]
-MassRange = Annotated[tuple[float, float], Quantity("kg")]
 NOT_PROVED = "not proved"
 _SPARE = Quantity("", 4, ROUND_FLOOR, "any", NOT_PROVED)
 SpareGain = Annotated[float, _SPARE]
@@ -178,6 +176,20 @@ FORMATS = formats_of({"stiffness": "N/m", "damping": "N s/m"}) | {
     # causes.
     **dict.fromkeys(("stiffness_gain", "damping_gain"), _SPARE),
     **dict.fromkeys(("extra_delay", "extra_delay_moving"), replace(_SPARE, unit="s")),
+    **dict.fromkeys(("gain_margin", "disk_margin"), _SPARE),
+    "delay_margin": replace(_SPARE, unit="s"),
+    "phase_margin": replace(_SPARE, unit="degrees"),
+    **dict.fromkeys(
+        ("peak_sensitivity", "peak_complementary", "least_gain"),
+        Quantity("", 4, ROUND_CEILING, absent=NOT_PROVED),
+    ),
+    **dict.fromkeys(
+        (
+            *("phase_margin_at", "gain_margin_at", "delay_margin_at", "disk_margin_at"),
+            *("peak_sensitivity_at", "peak_complementary_at", "frequency"),
+        ),
+        Quantity("Hz"),
+    ),
     "distance_to_boundary": Quantity(rounding=ROUND_FLOOR, absent="not known"),
     **dict.fromkeys(("spectral_radius", "damping_ratio"), Quantity()),
     "radius_error": Quantity(digits=3, rounding=ROUND_CEILING, infinite=NOT_PROVED),
@@ -188,12 +200,15 @@ FORMATS = formats_of({"stiffness": "N/m", "damping": "N s/m"}) | {
         ),
         Quantity("s", infinite="never", absent=NOT_PROVED),
     ),
-    "frequency": Quantity("Hz"),
     "chatter_at_most": Quantity("m", 3, ROUND_CEILING, NOT_PROVED),
     "force_chatter_at_most": Quantity("N", 3, ROUND_CEILING, NOT_PROVED),
     "force_per_count": Quantity("N", 3),
-    "mass": Quantity("kg"),
-    "delay": Quantity("s"),
+    # Of inputs.
+    **dict.fromkeys(("mass", "hand_mass"), Quantity("kg")),
+    **dict.fromkeys(("sample_time", "delay"), Quantity("s")),
+    **dict.fromkeys(("delay_samples", "lost_samples"), Quantity()),
+    "hand_stiffness": Quantity("N/m"),
+    "hand_damping": Quantity("N s/m"),
 }
 """The formats of numbers of a ``GainAnswer``, by their names."""
 
@@ -334,26 +349,8 @@ class Part(Answer):
     """An answer whose values stand without a heading among those of the answer that has it."""
 
 
-@dataclass(frozen=True)
-class Basis(Answer):
+class Basis(GainAnswer):
     """The inputs that a scene's answers hold for; those that are easily overlooked are printed."""
-
-    velocity: str
-    position: str | None
-    sample_time: Time
-    delay: Annotated[float | tuple[float, float], Quantity("s")]
-    delay_samples: Annotated[float | tuple[float, float], Quantity()]
-    delay_is: str | None
-    lost_samples: Annotated[int, Quantity()] | None
-    mass: MassRange
-    damping: Damping
-    damping_is: str | None
-    hand_mass: MassRange | None
-    hand_stiffness: Annotated[tuple[float, float], Quantity("N/m")] | None
-    hand_damping: Annotated[tuple[float, float], Quantity("N s/m")] | None
-    mechanics: str | None
-    postures: str | None
-    motion: str | None
 
     @property
     def units(self) -> Units:
@@ -481,22 +478,24 @@ def basis_of(scene: Scene, *, at_longest: bool = False, constant: str = "the lon
         moving.append(f"a grip of {_grip_in_words(grip, scene.units)}")
     postures = f"a device of {masses}, constant while a wall is touched"
     return Basis(
-        velocity=str(estimator),
-        position=None if controller.position is None else str(controller.position_filter),
-        sample_time=controller.sample_time,
-        delay=(low, high) if low < high else low,
-        delay_samples=samples if low < high else samples[1],
-        delay_is=_delay_is(controller, constant if at_longest else None),
-        lost_samples=None if at_longest else controller.lost_samples or None,
-        mass=device.effective_mass,
-        damping=device.effective_damping,
-        damping_is=_ASSUMED if device.damping is None else None,
-        hand_mass=None if hand is None else hand.effective_mass,
-        hand_stiffness=None if hand is None else hand.stiffness,
-        hand_damping=None if hand is None else hand.damping,
-        mechanics="; ".join(moving) or None,
-        postures=postures if device.varies else None,
-        motion=None if scene.units is Units.LINE else "rotation",
+        {
+            "velocity": str(estimator),
+            "position": None if controller.position is None else str(controller.position_filter),
+            "sample_time": controller.sample_time,
+            "delay": (low, high) if low < high else low,
+            "delay_samples": samples if low < high else samples[1],
+            "delay_is": _delay_is(controller, constant if at_longest else None),
+            "lost_samples": None if at_longest else controller.lost_samples or None,
+            "mass": device.effective_mass,
+            "damping": device.effective_damping,
+            "damping_is": _ASSUMED if device.damping is None else None,
+            "hand_mass": None if hand is None else hand.effective_mass,
+            "hand_stiffness": None if hand is None else hand.stiffness,
+            "hand_damping": None if hand is None else hand.damping,
+            "mechanics": "; ".join(moving) or None,
+            "postures": postures if device.varies else None,
+            "motion": None if scene.units is Units.LINE else "rotation",
+        }
     )
 
 

@@ -6,14 +6,14 @@ so. Of a range of delays it is the longest one, as a constant delay, and the ans
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from math import nan
 from typing import Any
 
 from jaxstab.loop import Gains, StableValues
 from jaxstab.loop.backwards import range_of
-from jaxstab.scene.answers import GainAnswer, Quantity, basis_of
+from jaxstab.scene.answers import Basis, GainAnswer, Quantity, basis_of
 from jaxstab.scene.limits import numbered
 from jaxstab.scene.loops import loop_of, masses_of, range_of_hands, walls_of
 from jaxstab.scene.scene import Scene, Units, presets
@@ -78,7 +78,7 @@ class Backwards:
             "mass": masses_of(scene),
         }
         if quantity == "device_mass":
-            inputs, options["mass"] = replace(inputs, mass=(nan, nan)), None
+            inputs, options["mass"] = Basis(inputs.values | {"mass": (nan, nan)}), None
         if options["mass"] or (scene.hand and scene.hand.varies):
             options["hands"] = range_of_hands(scene)
         found = {
@@ -92,7 +92,7 @@ class Backwards:
             name: _needs(wall, values, scene.units, every) for name, (wall, values) in found.items()
         }
         if self.asked == "damping":
-            inputs = replace(inputs, damping_is=None)
+            inputs = Basis(inputs.values | {"damping_is": None})
         # ``limits`` answers for all delays, ``design`` for the one that its answer names.
         is_for_all = command == "design" or has_one_delay
         values = {"inputs": inputs, "walls": walls}

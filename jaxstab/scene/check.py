@@ -2,10 +2,9 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from decimal import ROUND_CEILING, ROUND_FLOOR
 from itertools import permutations
 from math import inf, isinf, isnan, nan
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
@@ -23,13 +22,9 @@ from jaxstab.point import SpectralRadius
 from jaxstab.rounding import EPS
 from jaxstab.scene.answers import (
     LABELS,
-    NOT_PROVED,
-    Frequency,
     GainAnswer,
     Part,
     Quantity,
-    SpareGain,
-    SpareTime,
     basis_of,
     line,
 )
@@ -51,29 +46,12 @@ from jaxstab.scene.loops import (
 from jaxstab.scene.scene import Scene, Units
 from jaxstab.shown import table_text
 
-_Peak = Annotated[float, Quantity("", 4, ROUND_CEILING, absent=NOT_PROVED)]
 
-
-@dataclass(frozen=True)
-class FrequencyMargins(Part):
+class FrequencyMargins(GainAnswer, Part):
     """The distances of the open loop from -1, and where they are: each the worst over some hands.
 
     Without a gain margin it is one line, of two numbers.
     """
-
-    phase_margin: Annotated[float, Quantity("degrees", 4, ROUND_FLOOR, "any", NOT_PROVED)]
-    phase_margin_at: Frequency | None
-    peak_sensitivity: _Peak
-    peak_sensitivity_at: Frequency | None
-    gain_margin: SpareGain | None
-    gain_margin_at: Frequency | None
-    least_gain: _Peak | None
-    delay_margin: SpareTime | None
-    delay_margin_at: Frequency | None
-    peak_complementary: _Peak | None
-    peak_complementary_at: Frequency | None
-    disk_margin: Annotated[float, Quantity("", 4, ROUND_FLOOR, absent=NOT_PROVED)] | None
-    disk_margin_at: Frequency | None
 
     def rows(self, units: Units = Units.LINE) -> dict[str, str]:
         """The words of each number, the frequency behind it."""
@@ -82,7 +60,7 @@ class FrequencyMargins(Part):
             name, is_place, _ = path.partition("_at")
             label = LABELS.get(name, name.replace("_", " "))
             rows[label] = f"{rows[label]} at {words}" if is_place else words
-        if self.gain_margin is None:
+        if "gain_margin" not in self.values:
             phase, peak = rows.values()
             words = phase if isnan(self.phase_margin) else f"{phase}, peak sensitivity {peak}"
             rows = {"phase margin": words}
@@ -288,11 +266,10 @@ def frequency_answer(found: LoopFrequencyMargins, *, in_full: bool) -> Frequency
         ("disk_margin", found.disk, np.argmin),
     ):
         value, _, place = (float(np.ravel(each)[worst(own.value)]) for each in own)  # NaN first
-        is_shown = in_full or name in ("phase_margin", "peak_sensitivity")
-        answer[name] = max(value, 0.0) if is_shown else None
-        answer[f"{name}_at"] = place if is_shown and place >= 0.0 else None
-    del answer["least_gain_at"]
-    return FrequencyMargins(**answer)
+        if in_full or name in ("phase_margin", "peak_sensitivity"):
+            answer[name] = max(value, 0.0)
+            answer[f"{name}_at"] = place if place >= 0.0 and name != "least_gain" else None
+    return FrequencyMargins(answer)
 
 
 def _radius(_: _Wall, __: list[HapticLoop], radius: SpectralRadius) -> dict[str, Any]:

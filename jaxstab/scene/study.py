@@ -534,8 +534,9 @@ class _Source:
             limits[name.replace(" ", "_")] = Variable(f"{name} of stable gains", own.unit)
             limits[f"at_{other.name}"] = Variable(f"{other.name} at the {name}", other.unit)
         limits["limits_status"] = Variable("what is known of the limits", "1", RegionStatus)
-        own = {"verdict": ANSWERS["verdict"], "limits": limits}
-        return own | ({"spectral_radius": ANSWERS["spectral_radius"]} if self.of_gains else ANSWERS)
+        every = {"verdict": ANSWERS["verdict"], "limits": limits, **ANSWERS}
+        names = ("verdict", "limits", "spectral_radius") if self.of_gains else every
+        return {name: every[name] for name in names}
 
     @property
     def gains(self) -> tuple[Gain, Gain]:
