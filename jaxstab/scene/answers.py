@@ -1,8 +1,8 @@
 """Answers with units, which print themselves as words and as JSON.
 
-An answer is a frozen dataclass. The annotation of a number has its Quantity: the unit, the digits
-that are printed and the side to which they are rounded. Answers about two gains have the names of
-these (``GainAnswer``), and their quantities follow from the names: ``largest_kp`` is rounded down.
+An answer has values by name, and each name of a number its Quantity (``FORMATS``): the unit, the
+digits that are printed and the side to which they are rounded. Answers about two gains have the
+names of these (``formats_of``): ``largest_kp`` is rounded down.
 Limits are rounded inwards, and two gains that are printed as a stable wall are one
 (``jaxstab.shown.stable_pair``). JSON has all digits, in SI units but for a phase in degrees, and
 the unit of each key. Answers of a scene that turns have the units of rotation, and inertia for
@@ -13,9 +13,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 from enum import IntEnum
-from functools import cache
 from math import isfinite, isinf, isnan
-from typing import Annotated, Any, get_args, get_type_hints
+from typing import Any
 
 from jaxstab.scene.scene import Controller, Grip, Hand, Scene, Units
 from jaxstab.shown import MOST_DIGITS, Printed, exact_text, rounded_text, stable_pair
@@ -127,16 +126,8 @@ def rounded_wall(stiffness: float, damping: float, is_stable: Any) -> tuple[floa
     return k, b
 
 
-Stiffness = Annotated[float, Quantity("N/m")]
-Damping = Annotated[float, Quantity("N s/m")]
-GivenStiffness = Annotated[float, Quantity("N/m", GIVEN)]
-GivenDamping = Annotated[float, Quantity("N s/m", GIVEN)]
-Mass = Annotated[float, Quantity("kg")]
-Frequency = Annotated[float, Quantity("Hz")]
 NOT_PROVED = "not proved"
 _SPARE = Quantity("", 4, ROUND_FLOOR, "any", NOT_PROVED)
-SpareGain = Annotated[float, _SPARE]
-SpareTime = Annotated[float, replace(_SPARE, unit="s")]
 
 
 def formats_of(units: Mapping[str, str]) -> dict[str, Quantity]:
@@ -186,7 +177,8 @@ FORMATS = formats_of({"stiffness": "N/m", "damping": "N s/m"}) | {
     **dict.fromkeys(
         (
             *("phase_margin_at", "gain_margin_at", "delay_margin_at", "disk_margin_at"),
-            *("peak_sensitivity_at", "peak_complementary_at", "frequency"),
+            *("peak_sensitivity_at", "peak_complementary_at"),
+            *("frequency", "contact_frequency"),
         ),
         Quantity("Hz"),
     ),
@@ -203,14 +195,19 @@ FORMATS = formats_of({"stiffness": "N/m", "damping": "N s/m"}) | {
     "chatter_at_most": Quantity("m", 3, ROUND_CEILING, NOT_PROVED),
     "force_chatter_at_most": Quantity("N", 3, ROUND_CEILING, NOT_PROVED),
     "force_per_count": Quantity("N", 3),
+    # Of simulated contacts.
+    "time_to_rest": Quantity("s", 3, infinite="never"),
+    **dict.fromkeys(("amplitude", "penetration"), Quantity("m", 3)),
+    "largest_force": Quantity("N", 3),
+    "friction": Quantity("N"),
     # Of inputs.
-    **dict.fromkeys(("mass", "hand_mass"), Quantity("kg")),
+    **dict.fromkeys(("mass", "hand_mass", "device_mass"), Quantity("kg")),
     **dict.fromkeys(("sample_time", "delay"), Quantity("s")),
     **dict.fromkeys(("delay_samples", "lost_samples"), Quantity()),
     "hand_stiffness": Quantity("N/m"),
     "hand_damping": Quantity("N s/m"),
 }
-"""The formats of numbers of a ``GainAnswer``, by their names."""
+"""The formats of numbers, by their names."""
 
 
 class Answer:
@@ -316,8 +313,7 @@ class Answer:
         return units_by_key
 
     def _quantity(self, name: str) -> Quantity:
-        kind: Any = type(self)  # mypy holds it for not hashable
-        return quantities(kind)[name]
+        return FORMATS[name]
 
     def _words(self, name: str, value: Any, units: Units) -> str:
         is_text = isinstance(value, str | IntEnum)
@@ -326,7 +322,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class GainAnswer(Answer):
-    """Values by their names, formats of those that ``FORMATS`` lacks, and whether it is stable."""
+    """Values by their names, which are attributes too, their formats, and whether it is stable."""
 
     values: dict[str, Any]
     formats: Mapping[str, Quantity] = field(default_factory=dict)
@@ -412,19 +408,6 @@ def _for_json(value: Any) -> Any:
     if isinstance(value, tuple):
         return [_for_json(entry) for entry in value]
     return value if isfinite(value) else None
-
-
-@cache
-def quantities(kind: Any) -> dict[str, Quantity]:
-    """Return the quantities of the annotated fields of an answer."""
-    hints = get_type_hints(kind, include_extras=True)
-    quantities = {}
-    for name, hint in hints.items():
-        for annotation in (hint, *get_args(hint)):  # of "quantity | None", too
-            for note in getattr(annotation, "__metadata__", ()):
-                if isinstance(note, Quantity):
-                    quantities[name] = note
-    return quantities
 
 
 # The basis of a scene's answers, stated in front of them.

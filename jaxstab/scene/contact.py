@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from math import inf, isfinite, isnan
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float64
@@ -24,7 +24,7 @@ from jaxstab.loop import Contact, ContactKind, HapticLoop, contact_map
 from jaxstab.loop.contact import setup_of
 from jaxstab.model import LoopParameters
 from jaxstab.numbers import checked, require_kind
-from jaxstab.scene.answers import Answer, Basis, Frequency, Quantity, basis_of
+from jaxstab.scene.answers import Answer, Basis, Quantity, basis_of
 from jaxstab.scene.labelled import Variable, computed, table_of, xarray_module
 from jaxstab.scene.loops import Floats, hands_of, loop_of, walls_of
 from jaxstab.scene.scene import Scene, Units
@@ -39,11 +39,11 @@ class Simulated(Answer):
     """The end of the worst of the simulated contacts."""
 
     contact: ContactKind
-    time_to_rest: Annotated[float, Quantity("s", 3, infinite="never")]
-    amplitude: Annotated[float, Quantity("m", 3)]
-    contact_frequency: Frequency | None
-    penetration: Annotated[float, Quantity("m", 3)]
-    largest_force: Annotated[float, Quantity("N", 3)]
+    time_to_rest: float
+    amplitude: float
+    contact_frequency: float | None
+    penetration: float
+    largest_force: float
     worst_start: str
     contact_is: str
 
@@ -70,7 +70,7 @@ class Contacts(Answer):
     """The simulated contact of each wall, by its name."""
 
     inputs: Basis
-    friction: Annotated[float, Quantity("N")]
+    friction: float
     walls: dict[str, Simulated]
 
     @property

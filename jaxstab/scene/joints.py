@@ -12,7 +12,7 @@ from decimal import ROUND_CEILING
 from difflib import get_close_matches
 from math import isfinite, isnan, nan
 from os import PathLike
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
@@ -21,14 +21,11 @@ from jaxstab.loop.joint import PD, Joint, JointControl, JointLoop
 from jaxstab.model.filters import Velocity
 from jaxstab.numbers import checked_count, checked_number
 from jaxstab.scene.answers import (
+    FORMATS,
     Answer,
-    Damping,
     GainAnswer,
-    GivenDamping,
-    GivenStiffness,
     Quantity,
-    SpareGain,
-    SpareTime,
+    formats_of,
 )
 from jaxstab.scene.loops import BUT_FOR_DRIFT
 from jaxstab.scene.robots import MOST_BYTES, joints_of, model_of, optional
@@ -179,7 +176,13 @@ def read_gains(file: str | PathLike[str]) -> Any:
         raise ValueError(f"{file}, {place} is not YAML: {error.problem}.") from error
 
 
-Inertia = Annotated[float, Quantity("kg", 4, ROUND_CEILING)]
+_FORMATS = {
+    **formats_of({"kp": "N/m", "kd": "N s/m"}),
+    **dict.fromkeys(("kp_growth", "kd_growth"), FORMATS["stiffness_gain"]),
+    **dict.fromkeys(("least_inertia", "missing_armature"), Quantity("kg", 4, ROUND_CEILING)),
+    "inertia": Quantity("kg", 4),
+    "damping": Quantity("N s/m"),
+}
 _AT_ENDS = "at both ends of its range"
 _NO_GAINS = "no gains"
 
@@ -215,18 +218,18 @@ class JointAnswer(Answer):
     """
 
     motion: str
-    inertia: Annotated[tuple[float, float], Quantity("kg", 4)]
-    damping: Damping
-    friction: Annotated[float, Quantity("N")]
-    kp: GivenStiffness | None
-    kd: GivenDamping | None
+    inertia: tuple[float, float]
+    damping: float
+    friction: float
+    kp: float | None
+    kd: float | None
     verdict: Verdict | str
-    kp_growth: SpareGain | None = None
-    kd_growth: SpareGain | None = None
+    kp_growth: float | None = None
+    kd_growth: float | None = None
     growth_is: str | None = None
-    extra_delay: SpareTime | None = None
-    least_inertia: Inertia | None = None
-    missing_armature: Inertia | None = None
+    extra_delay: float | None = None
+    least_inertia: float | None = None
+    missing_armature: float | None = None
 
     @property
     def is_stable(self) -> bool:
@@ -246,6 +249,9 @@ class JointAnswer(Answer):
         quantity = self._quantity(name)
         unitless = quantity if quantity.unit == "s" else replace(quantity, unit="")
         return "none" if isnan(np.sum(value)) else unitless.words(value)
+
+    def _quantity(self, name: str) -> Quantity:
+        return _FORMATS.get(name) or super()._quantity(name)
 
     def _units(self, units: Units) -> Units:
         return Units.ROTATION if self.motion == "turns" else Units.LINE

@@ -28,13 +28,8 @@ from jaxstab.model.parameters import DELTA_LIMIT, GAIN_LIMIT, GAMMA_LIMIT
 from jaxstab.region import RegionStatus
 from jaxstab.scene.answers import (
     Answer,
-    Damping,
     GainAnswer,
-    GivenDamping,
-    GivenStiffness,
-    Mass,
     Quantity,
-    Stiffness,
     printed_wall,
 )
 from jaxstab.scene.scene import Hand, Scene, Units, range_in_words
@@ -46,10 +41,10 @@ Floats = NDArray[np.float64]
 class OneHand(Answer):
     """A hand of the range, and the mass of the device if that varies; None for its lowest one."""
 
-    mass: Mass
-    stiffness: Stiffness
-    damping: Damping
-    device_mass: Mass | None = None
+    mass: float
+    stiffness: float
+    damping: float
+    device_mass: float | None = None
 
     def in_words(self, units: Units) -> str:
         """The hand, such as "a hand of 0.2 kg, 100 N/m and 0 N s/m", and the device."""
@@ -57,6 +52,9 @@ class OneHand(Answer):
         is_there = self.mass or self.stiffness or self.damping
         words = f"a hand of {mass}, {stiffness} and {damping}" if is_there else "no hand"
         return " and ".join([words, *(f"a device of {own}" for own in device)])
+
+    def _quantity(self, name: str) -> Quantity:
+        return replace(super()._quantity(name), digits=Quantity.digits)
 
 
 def wall_region(loop: HapticLoop) -> WallRegion:
@@ -282,8 +280,8 @@ class WallVerdict(Answer):
     None where neither a hand nor the mass varies; with ``worst_delays`` a motion grows.
     """
 
-    stiffness: GivenStiffness
-    damping: GivenDamping
+    stiffness: float
+    damping: float
     verdict: Verdict | str
     hands_are: str | None
     worst_hand: OneHand | None
