@@ -50,8 +50,21 @@ _DOORS: Mapping[str, tuple[Any, tuple[str, ...]]] = {
     "coupling": (doors.coupling, ("first", "sample_time", "delays_samples", "velocity")),
 }
 """The function of each kind of loop, and what it takes from the tables of a held device."""
-_UNITS = {"inertia": "kg m^2", "step": "s", "environment": "N/m", "sample_time": "s"}
-"""Of the keys of [loop] that some loop needs."""
+KEYS = {
+    "inertia": ("moment of inertia of the joint", "kg m^2"),
+    "damping": ("damping of the joint", "N m s/rad"),
+    "stiffness": ("stiffness of the spring", ""),  # N m/rad, or N/m with admittance
+    "step": ("step of the engine", "s"),
+    "substeps": ("engine steps per control step", ""),
+    "delay_steps": ("delay in engine steps", ""),
+    "environment": ("stiffness of the environment", "N/m"),
+    "sample_time": ("sampling period", "s"),
+    "delay_samples": ("delay", "samples"),
+    "kp": ("kp", "N/m"),
+    "ki": ("ki", "N/(m s)"),
+    "kd": ("kd", "N s/m"),
+}
+"""Keys of [loop]: what they are, and their units."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +88,7 @@ def _loop(table: Any, held: Scene | None) -> tuple[Loop, tuple[float, float]]:
     t.check_keys("loop", given, [*keys])
     for name, own in keys.items():
         if own.default is Parameter.empty and name not in given:
-            words = f"it in {_UNITS[name]} (--set loop.{name}=...)" if name in _UNITS else None
+            words = f"it in {KEYS[name][1]} (--set loop.{name}=...)" if name in KEYS else None
             raise ValueError(f"loop.{name} is missing; give {words or f'a table [loop.{name}]'}.")
     if "outside" in given:
         t.checked("loop.outside", given["outside"], t.truth)

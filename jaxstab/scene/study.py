@@ -40,7 +40,7 @@ from jaxstab.numbers import checked, checked_count, checked_number
 from jaxstab.region import RegionStatus
 from jaxstab.scene.answers import delay_notes
 from jaxstab.scene.draws import Column, draws_of, is_distribution, values_of, words_of
-from jaxstab.scene.gains import GainScene, any_scene
+from jaxstab.scene.gains import KEYS, GainScene, any_scene
 from jaxstab.scene.labelled import Variable, computed, read, table_of, xarray_module
 from jaxstab.scene.loops import loop_of
 from jaxstab.scene.scene import INNER, TABLES, Scene, Units
@@ -88,20 +88,6 @@ ANSWERS: dict[str, dict[str, Variable]] = {  # beside limits
         "spectral_radius": Variable("largest modulus of the poles, per sample"),
         "spectral_radius_error": Variable("proved bound of its error"),
     },
-}
-_OF_LOOPS = {  # keys of [loop]: what they are, and their units
-    "inertia": ("moment of inertia of the joint", "kg m^2"),
-    "damping": ("damping of the joint", "N m s/rad"),
-    "stiffness": ("stiffness of the spring", ""),  # N m/rad, or N/m with admittance
-    "step": ("step of the engine", "s"),
-    "substeps": ("engine steps per control step", ""),
-    "delay_steps": ("delay in engine steps", ""),
-    "environment": ("stiffness of the environment", "N/m"),
-    "sample_time": ("sampling period", "s"),
-    "delay_samples": ("delay", "samples"),
-    "kp": ("kp", "N/m"),
-    "ki": ("ki", "N/(m s)"),
-    "kd": ("kd", "N s/m"),
 }
 
 
@@ -785,5 +771,5 @@ def _described(key: str) -> tuple[str, str]:
         words, unit = _described(key.removeprefix("loop.").replace("second", "device"))
         return f"{words}, the second one", unit
     if key.startswith("loop."):
-        return _OF_LOOPS.get(name, (key, ""))
+        return KEYS.get(name, (key, ""))
     return (key, "1") if entry is None else (entry.metadata["words"] or key, unit_of(entry))
