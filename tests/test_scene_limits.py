@@ -149,6 +149,9 @@ def test_safety_moves_all_limits_inwards() -> None:
         for name in {"best", "passive", "linear_rule", "20"} & {*whole}:
             scaled = 0.8 * whole[name]["largest_stiffness"]
             assert part[name]["largest_stiffness"] == pytest.approx(scaled, rel=1e-12)
+    # Reached without a spring, where a gain of exactly 0 is at the edge of the region.
+    scaled = 0.8 * plain["most_damped"]["largest_damping"]
+    assert safe["most_damped"]["largest_damping"] == pytest.approx(scaled, rel=1e-12)
     for name, key in (("at_given_damping", "stiffness"), ("at_given_stiffness", "damping")):
         low, high = plain[name][f"{key}_limits"]
         scaled = [low / 0.8 if low > 0.0 else low * 0.8, 0.8 * high]

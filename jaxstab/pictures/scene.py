@@ -4,7 +4,7 @@ Below that several scenes in one picture, a guard, simulated contacts, and the l
 identified from.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from decimal import ROUND_FLOOR
 from math import isfinite
@@ -440,23 +440,14 @@ def _draw_chatter(
     panel: Axes, loop: HapticLoop, region: WallRegion, encoder: Encoder, units: Units
 ) -> list[Level]:
     """Draw lines of equal bounds of the chatter that the encoder's resolution causes."""
-    drawn = 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0  # amplitudes that are drawn
-    calm_columns = 24  # of the map of amplitudes, and rows
+    drawn = 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0  # amplitudes that are drawn, in counts
     resolution, length = encoder.resolution, Quantity("m", 3)
-    stiffness, damping = _columns_and_rows(region, calm_columns)
+    stiffness, damping = _columns_and_rows(region, 24)
     amplitude = loop.amplitude(stiffness[None, :], damping[:, None], encoder=resolution)
     counts = np.where(np.isfinite(amplitude.position), amplitude.position / resolution, np.nan)
-    fewest, most = np.nanmin(counts, initial=np.inf), np.nanmax(counts, initial=0.0)
-    levels = [count for count in drawn if fewest < count < most][:_MOST_LEVELS]
-    if not levels:
-        return []
-
-    def words(count: float) -> str:
-        return length.words(count * resolution, units)
-
     label = f"encoder of {length.words(resolution, units)}: chatters by less, proved"
-    panel.plot([], [], color=PLUM, lw=1.0, ls="dashed", label=label)
-    return _draw_levels(panel, (stiffness, damping, counts), levels, words, PLUM, "dashed")
+    words = {count: length.words(count * resolution, units) for count in drawn}
+    return _draw_levels(panel, (stiffness, damping, counts), words, label, PLUM, "dashed")
 
 
 def _columns_and_rows(region: WallRegion, count: int) -> Floats:
@@ -465,33 +456,33 @@ def _columns_and_rows(region: WallRegion, count: int) -> Floats:
 
 def _draw_settling(panel: Axes, loop: HapticLoop, region: WallRegion) -> list[Level]:
     """Draw lines of equal settling time to 2 %, in ms."""
-    even = np.outer(10.0 ** np.arange(-3, 8), [1.0, 2.0, 5.0]).ravel()  # ms
-    columns = 64  # of the map of settling times, and rows
-    horizon = 4096  # samples
-    stiffness, damping = _columns_and_rows(region, columns)
+    stiffness, damping = _columns_and_rows(region, 64)
     walls = stiffness[None, :], damping[:, None]
-    times = 1e3 * likely_settling(loop.in_floats(), *walls, horizon=horizon)
-    if np.isnan(times).all():
-        return []
-    fastest, slowest = float(np.nanmin(times)), float(np.nanmax(times))
-    levels = [time for time in even if 1.5 * fastest < time < slowest][:_MOST_LEVELS]
-    panel.plot([], [], color=BLACK, lw=1.0, ls="dotted", label="settling time to 2 %")
+    times = 1e3 * likely_settling(loop.in_floats(), *walls, horizon=4096)
+    least = 1.5 * float(np.nanmin(times, initial=np.inf))
+    even = np.outer(10.0 ** np.arange(-3, 8), [1.0, 2.0, 5.0]).ravel()  # ms
+    words = {time: f"{time:g} ms" for time in even[even > least].tolist()}
     grid = stiffness, damping, times
-    return _draw_levels(panel, grid, levels, lambda time: f"{time:g} ms", BLACK, "dotted")
+    return _draw_levels(panel, grid, words, "settling time to 2 %", BLACK, "dotted")
 
 
 def _draw_levels(
     panel: Axes,
     grid: tuple[Floats, Floats, Floats],
-    levels: list[float],
-    words: Callable[[float], str],
+    words: Mapping[float, str],
+    label: str,
     colour: str,
     style: str,
 ) -> list[Level]:
-    """Draw lines of equal values; they are returned, for their values are written last."""
+    """Draw the first lines of equal values that there are; their values are written last."""
+    fewest, most = np.nanmin(grid[2], initial=np.inf), np.nanmax(grid[2], initial=0.0)
+    levels = [value for value in words if fewest < value < most][:_MOST_LEVELS]
+    if not levels:
+        return []
+    panel.plot([], [], color=colour, lw=1.0, ls=style, label=label)
     lines = panel.contour(*grid, levels, colors=colour, linewidths=1.0, linestyles=style)
     paths = zip(levels, lines.get_paths(), strict=True)
-    return [Level(np.asarray(path.vertices), words(level), colour) for level, path in paths]
+    return [Level(np.asarray(path.vertices), words[level], colour) for level, path in paths]
 
 
 # A picture of several scenes: the stable set and the largest stiffness of each.

@@ -103,7 +103,7 @@ class Quantity:
 
     def _text(self, value: float | int, rounding: str, digits: int, factor: int) -> str:
         if isinf(value):
-            return self.infinite
+            return self.infinite if value > 0.0 else f"-{self.infinite}"
         if isinstance(value, Printed) or digits == GIVEN:
             text = value.text if isinstance(value, Printed) else exact_text(value)
             return rounded_text(Decimal(text), MOST_DIGITS, factor=factor)

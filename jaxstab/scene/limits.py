@@ -10,7 +10,7 @@ from decimal import ROUND_CEILING, ROUND_FLOOR
 from functools import partial
 from itertools import product
 from math import inf, isfinite, nan
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -61,6 +61,7 @@ class StableGains:
     safety: float = 1.0
     besides: tuple[Any, ...] = ()  # loops for which rows are to be stable, too
     units: Units = Units.LINE
+    lowest: ClassVar[float] = 0.0  # intervals below are left out
 
     @property
     def certainty(self) -> str | None:
@@ -130,9 +131,9 @@ class StableGains:
         own, loops = self.other(fixed), (self.loop, *self.besides)
         lines = [loop.intervals(**{fixed.name: value}) for loop in loops]
         found = stable_intervals(lines, self.safety, around)
-        if own.sense == "least":  # a mass is not negative
-            found = [(max(low, 0.0), high) for low, high in found if high > 0.0] or [(nan, nan)]
-        first, *others = found
+        least = 0.0 if own.sense == "least" else -inf  # a mass is not negative
+        found = [(max(low, least), high) for low, high in found if high > self.lowest]
+        first, *others = found or [(nan, nan)]
         return {f"{own.name}_limits": first, f"other_{own.name}": numbered(others)}
 
     def at(self, fixed: Gain, value: float | None) -> GainAnswer | None:
@@ -286,6 +287,8 @@ def stable_in_words(
 
 class StableWalls(StableGains):
     """The stable walls of a loop, those that drift among them, beside the linear rule."""
+
+    lowest = -inf
 
     def verdict(self, first: float, second: float) -> Verdict | str:
         """The verdict on a wall."""
