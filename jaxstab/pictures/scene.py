@@ -46,7 +46,6 @@ from jaxstab.pictures.style import (
 )
 from jaxstab.scene.answers import (
     GIVEN,
-    Answer,
     Basis,
     GainAnswer,
     Quantity,
@@ -55,7 +54,7 @@ from jaxstab.scene.answers import (
     printed_wall,
 )
 from jaxstab.scene.check import check_walls
-from jaxstab.scene.contact import Contacts, simulated_map, walls_around
+from jaxstab.scene.contact import simulated_map, walls_around
 from jaxstab.scene.gains import GainScene
 from jaxstab.scene.limits import passive_walls
 from jaxstab.scene.loops import (
@@ -151,7 +150,7 @@ _LARGEST = Quantity("N/m", 4, ROUND_FLOOR)
 _STIFFNESS = Quantity("N/m", GIVEN)
 
 
-def scene_figure(scene: Scene | GainScene, answer: Answer | None = None) -> Figure:
+def scene_figure(scene: Scene | GainScene, answer: GainAnswer | None = None) -> Figure:
     """The picture of an answer: one for each question, in SI units.
 
     Of ``scene_limits``, or without an answer, it is the stable set in the plane of K and B, the
@@ -165,9 +164,9 @@ def scene_figure(scene: Scene | GainScene, answer: Answer | None = None) -> Figu
     if isinstance(scene, GainScene):
         return _gain_figure(scene)
     visible = 0.05  # of the region, in K or in B: smaller sets are enlarged
-    if isinstance(answer, Contacts):
+    given: Any = answer or GainAnswer({})
+    if "friction" in given.values:
         return scene_contacts(scene)
-    given: Any = answer if isinstance(answer, GainAnswer) else GainAnswer({})
     tuned = given if "least_settling" in given.values else None
     is_design = "now_allowed_stiffness" in given.values
     is_of_walls = "walls" in given.values and not (tuned or "best" in given.values)
@@ -175,7 +174,7 @@ def scene_figure(scene: Scene | GainScene, answer: Answer | None = None) -> Figu
     basis = basis_of(scene, at_longest=is_design or tuned is not None)
     if is_design:
         return _design_figure(scene.at_longest_delay, answer, basis)
-    walls = _judged(scene, answer)
+    walls = _judged(scene, given)
     scene = scene.at_longest_delay if tuned else scene
     if scene.controller.moves:
         return _moving_figure(scene, walls, basis)
@@ -317,10 +316,10 @@ def _design_figure(scene: Scene, design: Any, basis: Basis) -> Figure:
     return figure
 
 
-def _judged(scene: Scene, answer: Answer | None) -> Marks:
+def _judged(scene: Scene, answer: GainAnswer) -> Marks:
     """Return the marks of a scene's walls, with verdicts of an answer that has them."""
-    known = answer.values.get("walls", {}) if isinstance(answer, GainAnswer) else {}
-    judged = {name: wall for name, wall in known.items() if "hands_are" in wall._values()}
+    known = answer.values.get("walls", {})
+    judged = {name: wall for name, wall in known.items() if "hands_are" in wall.values}
     if scene.walls and not judged:
         bare = replace(scene, wanted=replace(scene.wanted, measures=()))
         return marks_of(check_walls(bare).walls)

@@ -203,7 +203,7 @@ def _checked(wall: _Wall, felt: Simulated | str | None, *, in_full: bool) -> Gai
         if name == "margins" and (in_full or not wall.worst.worst_delays):
             answers |= _stable_around(wall)
     measures = _measures_are(wall) if answers else reason if wanted.measures else None
-    values = {**vars(wall.worst), "measures_are": measures, **answers, "simulated": felt}
+    values = {**wall.worst.values, "measures_are": measures, **answers, "simulated": felt}
     return GainAnswer(values, is_stable=wall.worst.is_stable)
 
 

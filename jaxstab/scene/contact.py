@@ -10,7 +10,7 @@ A table of contacts has a dimension for each list of numbers; ``jaxstab.scene.la
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from math import inf, isfinite, isnan
 from typing import TYPE_CHECKING, Any
@@ -24,7 +24,7 @@ from jaxstab.loop import Contact, ContactKind, HapticLoop, contact_map
 from jaxstab.loop.contact import setup_of
 from jaxstab.model import LoopParameters
 from jaxstab.numbers import checked, require_kind
-from jaxstab.scene.answers import Answer, Basis, Quantity, basis_of
+from jaxstab.scene.answers import GainAnswer, Quantity, basis_of
 from jaxstab.scene.labelled import Variable, computed, table_of, xarray_module
 from jaxstab.scene.loops import Floats, hands_of, loop_of, walls_of
 from jaxstab.scene.scene import Scene, Units
@@ -34,18 +34,8 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 
-@dataclass(frozen=True)
-class Simulated(Answer):
+class Simulated(GainAnswer):
     """The end of the worst of the simulated contacts."""
-
-    contact: ContactKind
-    time_to_rest: float
-    amplitude: float
-    contact_frequency: float | None
-    penetration: float
-    largest_force: float
-    worst_start: str
-    contact_is: str
 
     def in_short(self, units: Units) -> str:
         """Its end, and the start, the delay and the hand that it is from."""
@@ -61,28 +51,19 @@ class Simulated(Answer):
     def lines(self, indent: str = "", units: Units = Units.LINE) -> list[str]:
         """The lines, without the size of a motion that nothing holds."""
         is_through = self.contact == ContactKind.PUSHED_THROUGH
-        own = replace(self, amplitude=inf, penetration=inf) if is_through else self
-        return Answer.lines(own, indent, units)
+        own = dict.fromkeys(("amplitude", "penetration"), inf) if is_through else {}
+        return GainAnswer(self.values | own).lines(indent, units)
 
 
-@dataclass(frozen=True)
-class Contacts(Answer):
-    """The simulated contact of each wall, by its name."""
-
-    inputs: Basis
-    friction: float
-    walls: dict[str, Simulated]
-
-    @property
-    def all_stable(self) -> bool:
-        """True if every simulated contact came to rest; nothing is proved."""
-        return all(wall.contact == ContactKind.RESTS for wall in self.walls.values())
-
-
-def simulate_contacts(scene: Scene) -> Contacts:
+def simulate_contacts(scene: Scene) -> GainAnswer:
     """The worst simulated contact with each wall of a scene that says how the device meets it."""
     scene.require_walls()
-    return Contacts(basis_of(scene, at_longest=True), scene.device.friction, contacts_of(scene))
+    walls = contacts_of(scene)
+    rest = all(wall.contact == ContactKind.RESTS for wall in walls.values())
+    inputs = basis_of(scene, at_longest=True)
+    return GainAnswer(
+        {"inputs": inputs, "friction": scene.device.friction, "walls": walls}, is_stable=rest
+    )
 
 
 def contacts_of(scene: Scene) -> dict[str, Simulated]:
@@ -204,14 +185,16 @@ def _simulated(scene: Scene, contact: Contact, start: tuple[float, float, float]
         about.append("hand and device at their lowest values")
     frequency = float(contact.frequency)
     return Simulated(
-        ContactKind(int(contact.kind)),
-        float(contact.time_to_rest),
-        float(contact.amplitude),
-        None if isnan(frequency) else frequency,
-        float(contact.penetration),
-        float(contact.largest_force),
-        ", ".join(words),
-        "; ".join(about),
+        {
+            "contact": ContactKind(int(contact.kind)),
+            "time_to_rest": float(contact.time_to_rest),
+            "amplitude": float(contact.amplitude),
+            "contact_frequency": None if isnan(frequency) else frequency,
+            "penetration": float(contact.penetration),
+            "largest_force": float(contact.largest_force),
+            "worst_start": ", ".join(words),
+            "contact_is": "; ".join(about),
+        }
     )
 
 

@@ -271,26 +271,14 @@ def stiffest_wall(wall: Gains, *, certainty: str | None = None, **more: Any) -> 
     )
 
 
-@dataclass(frozen=True)
-class WallVerdict(Answer):
+class WallVerdict(GainAnswer):
     """The verdict on a wall for all hands and delays, and the worst of them.
 
     The verdict is ``BUT_FOR_DRIFT`` for a stable damper on a device that nothing holds.
     ``hands_are`` describes the search where a verdict over ranges is UNDECIDED; ``worst_hand`` is
-    None where neither a hand nor the mass varies; with ``worst_delays`` a motion grows.
+    None where neither a hand nor the mass varies; with ``worst_delays`` a motion grows. It is
+    stable if it is proved for all hands and delays, but for a position that drifts.
     """
-
-    stiffness: float
-    damping: float
-    verdict: Verdict | str
-    hands_are: str | None
-    worst_hand: OneHand | None
-    worst_delays: str | None
-
-    @property
-    def is_stable(self) -> bool:
-        """True if the wall is proved for all hands and delays, but for a position that drifts."""
-        return self.verdict in (Verdict.STABLE, BUT_FOR_DRIFT) and self.hands_are is None
 
     @property
     def drifts(self) -> bool:
@@ -300,7 +288,8 @@ class WallVerdict(Answer):
     @property
     def for_all(self) -> Verdict | str:
         """The verdict for all hands, or why there is none."""
-        return self.verdict if self.verdict == Verdict.UNSTABLE else self.hands_are or self.verdict
+        own: Verdict | str = self.verdict
+        return own if own == Verdict.UNSTABLE else self.hands_are or own
 
 
 def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[tuple[WallVerdict, HapticLoop]]:
@@ -334,7 +323,10 @@ def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[tuple[WallVerdict, Ha
             words = f"{constant}: the motion grows by a factor of {radius:.6g} per sample"
             if scene.controller.moves:
                 words = str(held.worst_delays(*gains, **delays))
-        answers.append((WallVerdict(*gains, verdict, tried, hand, words), held))
+        told = {"hands_are": tried, "worst_hand": hand, "worst_delays": words}
+        is_stable = verdict in (Verdict.STABLE, BUT_FOR_DRIFT) and not tried
+        values = gains._asdict() | {"verdict": verdict} | told
+        answers.append((WallVerdict(values, is_stable=is_stable), held))
     return answers
 
 
