@@ -6,14 +6,13 @@ so. Of a range of delays it is the longest one, as a constant delay, and the ans
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from decimal import ROUND_CEILING, ROUND_FLOOR
+from dataclasses import dataclass, replace
 from math import nan
 from typing import Any
 
 from jaxstab.loop import Gains, StableValues
 from jaxstab.loop.backwards import range_of
-from jaxstab.scene.answers import Basis, GainAnswer, Quantity, basis_of
+from jaxstab.scene.answers import Basis, GainAnswer, basis_of, formats_of
 from jaxstab.scene.limits import numbered
 from jaxstab.scene.loops import loop_of, masses_of, range_of_hands, walls_of
 from jaxstab.scene.scene import Scene, Units, presets
@@ -105,7 +104,7 @@ def _needs(wall: Gains, found: StableValues, units: Units, every: str) -> GainAn
     ``every``: beyond what one loop needs, what its ends are proved for.
     """
     name = units.moved if found.quantity == "device_mass" else found.quantity
-    least, largest, others, digits = f"least_{name}", f"largest_{name}", f"other_{name}", 10
+    least, largest, others = f"least_{name}", f"largest_{name}", f"other_{name}"
     values: dict[str, Any] = {"stiffness": wall.stiffness, "damping": wall.damping}
     if found.intervals:
         inner = [(low.stable, high.stable) for low, high in found.intervals]
@@ -121,9 +120,6 @@ def _needs(wall: Gains, found: StableValues, units: Units, every: str) -> GainAn
     else:
         values["status"] = "no value tried is stable"
     values["scan"] = found._replace(unit=units.unit(found.unit)).scan
-    formats: dict[str, Quantity] = {
-        least: Quantity(found.unit, digits, ROUND_CEILING),
-        largest: Quantity(found.unit, digits, ROUND_FLOOR),
-        others: Quantity(found.unit, digits),
-    }
+    formats = formats_of({name: found.unit})
+    formats = {key: replace(form, digits=10) for key, form in formats.items() if key != name}
     return GainAnswer(values, formats, bool(found.intervals) and found.is_proved)
