@@ -394,6 +394,25 @@ def test_54_the_exit_code_is_that_of_the_verdicts(
     assert run(command, file).exit_code == code
 
 
+def test_limits_say_in_short_what_is_largest_and_where_each_pair_stands(tmp_path: Path) -> None:
+    """Of semi-implicit Euler every 4 steps, kp < 2 kd/(3 h) and kd + kp h/2 < 2 J/(4 h)."""
+    pairs = {"soft": {"kp": 3333.0, "kd": 10.0}, "hard": {"kp": 3334.0, "kd": 10.0}}
+    tables = loop(JOINT | {"substeps": 4}, at_kd=10.0, safety=1.0) | {"gains": pairs}
+    lines = dict(
+        re.split(r"  +", line, maxsplit=1)
+        for line in run("limits", file_of(tmp_path, tables)).stdout.splitlines()
+    )
+    kp, kd = (re.match(r"(\d+\.?\d*) N m", lines[f"largest {name}"]) for name in ("kp", "kd"))
+    assert kp is not None
+    assert kd is not None
+    assert 6240.0 < float(kp[1]) <= 6250.0
+    assert 24.9 < float(kd[1]) <= 25.0
+    stable = "stable range of 0 to 3333 N m/rad"
+    assert lines["stable kp"] == "0 to 3333 N m/rad at 10 N m s/rad"
+    assert lines["gains soft"] == f"3333 N m/rad at 10 N m s/rad, within the {stable}"
+    assert lines["gains hard"] == f"3334 N m/rad at 10 N m s/rad, outside the {stable}"
+
+
 def test_54_options_replace_what_a_file_says(tmp_path: Path) -> None:
     file = file_of(tmp_path, loop(JOINT | {"substeps": 10}))
     given = ["--set", "loop.substeps=4", "--set", "wanted.at_kd=10", "--json"]
