@@ -161,6 +161,13 @@ class _ForEach(StableGains):
             return verdict
         return Verdict.UNSTABLE if line.status == LineStatus.PROVED else Verdict.UNDECIDED
 
+    def around(self, pair: Mapping[str, float]) -> GainAnswer:
+        """The verdict on a pair, and of one environment the stable values of each gain."""
+        if self.certainty is None:
+            return super().around(pair)
+        verdict = self.verdict(*pair.values())
+        return GainAnswer({**pair, "verdict": verdict}, self.formats, verdict == Verdict.STABLE)
+
 
 @dataclass(frozen=True)
 class GainScene:
@@ -263,21 +270,13 @@ def gain_limits(scene: GainScene) -> GainAnswer:
                 "of gains are proved; give one environment, or [gains.NAME]."
             )
         values[f"at_given_{own.name}"] = stable.at(own, at)
-    pairs = {name: _around(scene, pair) for name, pair in scene.pairs.items()}
+    pairs = {name: stable.around(pair) for name, pair in scene.pairs.items()}
     return GainAnswer(values | {"gains": pairs}, is_stable=is_any)
 
 
-def _around(scene: GainScene, pair: dict[str, float]) -> GainAnswer:
-    """The verdict on a pair, and the stable values of each gain at the other one."""
-    if not scene.is_range:
-        return scene.stable.around(pair)
-    verdict = scene.stable.verdict(*pair.values())
-    return GainAnswer(pair | {"verdict": verdict}, scene.stable.formats, verdict == Verdict.STABLE)
-
-
 def _checked(scene: GainScene, pair: dict[str, float]) -> GainAnswer:
-    """The same with the spectral radius and, of stable gains, the margins."""
-    found = _around(scene, pair)
+    """The surroundings of a pair, its spectral radius and, of stable gains, the margins."""
+    found = scene.stable.around(pair)
     verdict = found.values["verdict"]
     if scene.is_range:
         return found
