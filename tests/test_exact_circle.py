@@ -9,11 +9,14 @@ import pytest
 
 from jaxstab.exact.circle import (
     Zero,
+    _as_many_as_counted,
     _by_cells,
     _by_powers,
     _Cells,
+    _guesses,
     _Part,
     _place,
+    _sturm_count,
     is_positive,
     zeros,
 )
@@ -97,6 +100,40 @@ def test_powers_tell_all_zeros_of_ordinary_sums(degree: int) -> None:
             for zero, angle in zip(told, angles.tolist(), strict=True):
                 assert zero.angle.contains(angle)
                 assert float(zero.angle.rad()) < 1e-12
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_guesses_are_near_the_roots_that_were_chosen_and_only_one_at_each_is_proved(
+    seed: int,
+) -> None:
+    """In x = 2 cos(theta), beside real roots beyond 2 and pairs that are far from the axis."""
+    rng = np.random.default_rng([531, seed])
+    angles = np.pi * (np.arange(1, 8) + rng.uniform(-0.3, 0.3, 7)) / 8
+    beyond = [2.5, -3.0][: seed % 3]
+    pairs = [complex(x, 0.5) for x in rng.uniform(-2.0, 2.0, seed)]
+    cosines = chosen(angles.tolist(), pairs)()
+    f = flint.arb_poly([1])
+    with flint.ctx.workprec(192):
+        for root in beyond:
+            cosines = times_line(cosines, flint.arb(-root))
+            f *= flint.arb_poly([-root, 1])
+        for angle in angles.tolist():
+            f *= flint.arb_poly([-2 * flint.arb(angle).cos(), 1])
+        for pair in pairs:
+            f *= flint.arb_poly([abs(pair) ** 2, -2 * pair.real, 1])
+        guesses, slope = _guesses(cosines), f.derivative()
+        np.testing.assert_allclose(guesses, 2.0 * np.cos(angles), rtol=0.0, atol=1e-9)
+        assert _sturm_count(f, slope) == 7
+        near = (2.0 * np.cos(angles) + 1e-9).tolist()
+        for root, angle in zip(_as_many_as_counted(f, slope, near) or [], angles, strict=True):
+            assert (root / 2).acos().contains(float(angle))
+            assert root.rel_accuracy_bits() > 150
+        for wrong in (near[1:], near[:-1], [near[0], *near[:-1]], [*near, near[-1]], near[::-1]):
+            assert _as_many_as_counted(f, slope, wrong) is None
+
+
+def test_a_sum_with_coefficients_of_0_has_a_guess() -> None:
+    assert _guesses([flint.arb(0), flint.arb(1)]) == pytest.approx([0.0], abs=1e-15)
 
 
 def test_zeros_that_float64_does_not_tell_apart_are_in_order() -> None:

@@ -127,7 +127,7 @@ def _guesses(cosines: "list[arb]") -> list[float]:
     cells = 16 * degree
     values = np.fft.rfft(c, 2 * cells).real
     places = 2.0 * np.cos(np.pi / cells * np.arange(cells + 1))
-    cell = np.flatnonzero(values[:-1] * values[1:] < 0.0)
+    cell = np.flatnonzero(np.diff(values < 0.0))
     share = values[cell] / (values[cell] - values[cell + 1])
     x = places[cell] + share * np.diff(places)[cell]
     for _ in range(steps):
@@ -265,8 +265,8 @@ def _end(index: int, signs: list[int], parts: "dict[int, _Part]") -> tuple[int, 
     for moved in range(1 if is_outermost else moves):
         sign = sign or parts[cell].sign(_place(1 if index else -1, moved))
         if sign:
-            return moved, sign
-    return 0, 0
+            break
+    return moved, sign
 
 
 def _place(side: int, moved: int) -> "arb":
@@ -290,9 +290,8 @@ def _isolated(part: _Part, first: "tuple[arb, int]", last: "tuple[arb, int]") ->
     intervals = [(first, last)]
     while intervals:
         (a, sign_a), (b, sign_b) = intervals.pop()
-        centre = ((a + b) / 2).mid()
-        half = ((b - a) / 2).abs_upper() + ((a + b) / 2 - centre).abs_upper()
-        is_without, is_monotone = part.on(centre, half)
+        whole = a.union(b)
+        is_without, is_monotone = part.on(whole.mid(), whole.rad())
         if is_without:
             continue
         if sign_a and sign_b and is_monotone:
@@ -301,8 +300,8 @@ def _isolated(part: _Part, first: "tuple[arb, int]", last: "tuple[arb, int]") ->
                 if zero is None:
                     return None
                 found.append(zero)
-        elif half < shortest:
-            found.append(Zero(arb(centre, half), 0))
+        elif whole.rad() < shortest:
+            found.append(Zero(whole, 0))
         else:
             place = _known_place(part, a, b)
             if not place[1]:
@@ -313,8 +312,7 @@ def _isolated(part: _Part, first: "tuple[arb, int]", last: "tuple[arb, int]") ->
 
 def _known_place(part: _Part, a: "arb", b: "arb") -> "tuple[arb, int]":
     """A place about the middle of an interval, and the sign there, if one can be known."""
-    shares = (6, 7, 9, 10, 8)  # of an interval, in 16ths, where it is divided
-    for share in shares:
+    for share in range(6, 11):  # 16ths of an interval, where it is divided
         place = (a + (b - a) * share / 16).mid()
         sign = part.sign(place)
         if sign:
@@ -326,7 +324,7 @@ def _refined(part: _Part, a: "arb", b: "arb", sign_b: int) -> Zero | None:
     """The zero of a monotone part with unlike signs at its ends."""
     refinements = 80
     low, high = a.mid(), b.mid()
-    x, smallest = ((low + high) / 2).mid(), arb(2) ** -ctx.prec
+    x, smallest = low, arb(2) ** -ctx.prec
     for _ in range(refinements):
         f = part.value(x)
         sign = sign_of(f + part.missed)

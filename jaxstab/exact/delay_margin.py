@@ -22,9 +22,9 @@ phases. The search ends where the box is too short to matter.
 
 from collections.abc import Callable
 from functools import cache, reduce
-from heapq import heapify, heappop, heappush
-from itertools import pairwise
+from heapq import heappop, heappush
 from math import inf, nan, nextafter, pi, ulp
+from operator import add
 from typing import Any, NamedTuple
 
 from flint import acb, acb_poly, arb, arb_mat, arb_poly
@@ -71,15 +71,10 @@ def delay_margin(
         wall: stiffness and damping.
     """
     short = 2.0**-31  # of a margin: a box that is reported
-    grades = 0, 1, 2, 3, 4, 6, 8, 12, 16, 20, 24, 32, 40, 48, 64  # 64ths of pi: first cells
     most_boxes = 20_000
     with working_precision(FIRST_BITS):
         search = _Search(loop(), sample(), delay, wall)
-        boxes = []
-        half_turn = nextafter(pi, 4.0)  # z = -1 is in the last cell
-        for theta in pairwise(grade * half_turn / 64.0 for grade in grades):
-            boxes += search.boxes(theta, (0.0, 1.0))
-        heapify(boxes)
+        boxes = search.boxes((0.0, nextafter(pi, 4.0)), (0.0, 1.0))  # with z = -1
         for _ in range(most_boxes):
             if not boxes:
                 return DelayMargin(inf, nan, DelayStatus.UNLIMITED)
@@ -107,7 +102,7 @@ class _Form(NamedTuple):
         return _Form(self.middle * other.middle, slope, self.all * other.all)
 
     def plus(self, other: "_Form") -> "_Form":
-        return _Form(*(a + b for a, b in zip(self, other, strict=True)))
+        return _Form(*map(add, self, other))
 
 
 class _Search:
@@ -134,7 +129,7 @@ class _Search:
         spread = acb(arb(0, half[0])), acb(arb(0, half[1]))
         x, y = self._force(place, late).times(above), below
         by_fraction = place.all * late_slope(place.all) * above.all
-        all_x = x.middle + x.slope * spread[0] + by_fraction * spread[1]
+        all_x = sum((x.slope * spread[0], by_fraction * spread[1]), x.middle)
         all_y = y.middle + y.slope * spread[0]
         if all_x.abs_upper() < all_y.abs_lower() or all_x.abs_lower() > all_y.abs_upper():
             return []
@@ -145,7 +140,7 @@ class _Search:
             return [(key, theta, fraction, bool(slopes[0] * half[0] > slopes[1] * half[1]))]
         turn = x.slope / all_x - y.slope / all_y
         moves = turn * spread[0], by_fraction / all_x * spread[1]
-        log = (x.middle / y.middle).log() + moves[0] + moves[1]
+        log = sum(moves, (x.middle / y.middle).log())
         if not log.real.contains(0):
             return []
         n = _least_whole(log.imag + arb.pi(), theta, least)
@@ -231,7 +226,7 @@ def _window(n: int, phases: "tuple[arb, arb]") -> _Form:
     """1 + z + ... + z^(n-1): its second derivative by theta is at most 1 + 4 + ... + (n-1)^2."""
     z, spread = acb(0, phases[0]).exp(), phases[1].rad()
     terms = acb_poly([1] * n)
-    bend = spread * (n * (n - 1) * (2 * n - 1) // 6)
+    bend = spread * sum(k**2 for k in range(n))
     middle = terms(z)
     slope = acb(0, 1) * z * terms.derivative()(z) + acb(arb(0, bend), arb(0, bend))
     return _Form(middle, slope, middle + slope * acb(arb(0, spread)))
