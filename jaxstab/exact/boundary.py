@@ -38,7 +38,7 @@ class ScaledLoop(NamedTuple):
     units: tuple[float, float]
     radius: float = 1.0
 
-    @remembered(64)
+    @remembered()
     def balls(self) -> BallLoop:
         """The parts of the loop in balls of the precision that is set."""
         if isinstance(self.loop, LoopParameters):
@@ -51,7 +51,7 @@ class ScaledLoop(NamedTuple):
         """The parts of p(z), likewise."""
         return self.balls().triple
 
-    @remembered(64)
+    @remembered()
     def polynomials(self) -> list[arb_poly]:
         """These parts multiplied out."""
         return [part.polynomial() for part in self.triple()]
@@ -120,7 +120,7 @@ def _enough_bits(loop: ScaledLoop) -> AbstractContextManager[None]:
     return working_precision(bits + 2 * degree if degree > short else bits)
 
 
-@lru_cache(maxsize=64)
+@lru_cache
 def _bits_for_digits(loop: ScaledLoop) -> int:
     """The precision at which the loop's polynomials have the digits of float64, and some more."""
 
@@ -333,7 +333,7 @@ def _without(part: Factored, divisor: Factored) -> Factored:
     return plain._replace(rest=plain.rest // divisor.polynomial())
 
 
-@lru_cache(maxsize=64)
+@lru_cache
 def _poles(loop: ScaledLoop, bits: int) -> "list[arb]":
     """The angles where V is real, to so many bits or more; none where the most do not tell."""
     with working_precision(bits):

@@ -192,13 +192,12 @@ class _Cells:
         self.degree = len(cosines) - 1
         self.count = 1 << (2 * self.degree - 1).bit_length()
         self.half = arb.pi() * _OVERLAP / (16 * self.count)
-        powers = [arb(k) for k in range(len(cosines))]
-        first, second, third = (
-            [k**order * c for k, c in zip(powers, cosines, strict=True)] for order in (1, 2, 3)
-        )
+        first = _times_order(cosines)
+        second = _times_order(first)
+        third = _times_order(second)
         # The second and third derivative have the other sign: only their moduli are asked for.
         self.values = _sums(cosines, first, self.count) + _sums(second, third, self.count)
-        self.fourth = sum((abs(k * c) for k, c in zip(powers, third, strict=True)), arb(0))
+        self.fourth = sum(map(abs, _times_order(third)), arb(0))
 
     def angle(self, cell: int, t: "arb") -> "arb":
         """The angle at t of a cell, from -1 to 1."""
@@ -210,13 +209,14 @@ class _Cells:
             return {}
         even, odd, last = _weights(self.degree, self.count)
         roots = _roots_of_unity(4 * self.count)
-        powers = range(self.degree + 1)
-        turns = [[k * (2 * cell + 1) % len(roots) for k in powers] for cell in chosen]
         terms = []  # of cos(k theta), the even ones, and of sin(k theta)
         for side, weights in enumerate((even, odd)):
             given = [
-                [c * roots[turn][side] for c, turn in zip(self.cosines, own, strict=True)]
-                for own in turns
+                [
+                    c * roots[k * (2 * cell + 1) % len(roots)][side]
+                    for k, c in enumerate(self.cosines)
+                ]
+                for cell in chosen
             ]
             terms.append((arb_mat(given) * weights).tolist())
         missed = (arb_mat([[abs(c) for c in self.cosines]]) * last)[0, 0].abs_upper()
@@ -345,24 +345,26 @@ def _refined(part: _Part, a: "arb", b: "arb", sign_b: int) -> Zero | None:
     return Zero(place, sign_b) if around.contains(place) else None
 
 
+def _times_order(cosines: "list[arb]") -> "list[arb]":
+    return [k * c for k, c in enumerate(cosines)]
+
+
 def _sums(even: "list[arb]", odd: "list[arb]", cells: int) -> "list[list[arb]]":
     """Sums of ``even`` times cos(k theta), of ``odd`` times -sin(k theta), at middles of cells."""
     roots = _roots_of_unity(4 * cells)
-    given = [
-        acb(a, b) * acb(z[0], -z[1]) for a, b, z in zip(even, odd, roots[: len(even)], strict=True)
-    ]
+    given = [acb(a, b) * acb(z[0], -z[1]) for a, b, z in zip(even, odd, roots, strict=False)]
     turned = acb.dft(given + [acb(0)] * (2 * cells - len(given)))
     pairs = [(turned[cell].real, turned[-1 - cell].real) for cell in range(cells)]
     return [[(a + b) / 2 for a, b in pairs], [(b - a) / 2 for a, b in pairs]]
 
 
-@remembered(16)
+@remembered()
 def _roots_of_unity(count: int) -> "list[tuple[arb, arb]]":
     angles = [fmpq(2 * part, count) for part in range(count)]
     return [(arb.cos_pi_fmpq(angle), arb.sin_pi_fmpq(angle)) for angle in angles]
 
 
-@remembered(64)
+@remembered()
 def _weights(degree: int, cells: int) -> "tuple[arb_mat, arb_mat, arb_mat]":
     """(k h)^d/d!, columns for the even d below D and for the odd ones, and that of D."""
     steps = [arb.pi() * (_OVERLAP * k) / (16 * cells) for k in range(degree + 1)]

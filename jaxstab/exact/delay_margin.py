@@ -114,7 +114,7 @@ class _Search:
         self.sample, self.delay = sample, delay
         about_one = arb_poly([1, 1])
         self.whole = sample.whole(about_one)
-        scaled = (part.scaled(gain) for part, gain in zip(loop.walls, wall, strict=True))
+        scaled = map(Factored.scaled, loop.walls, wall)
         self.above = [_about_one(part) for part in scaled if not part.is_zero]
         below = loop.denominator.times(loop.position[1]).times(loop.velocity[1])
         self.below = _about_one(below)

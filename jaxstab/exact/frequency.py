@@ -70,7 +70,7 @@ def readings(parts: Callable[[], tuple[Factored, Factored]], *, in_full: bool = 
 
     def opened() -> tuple[Factored, Factored]:
         below, above = parts()
-        shared = [min(counts) for counts in zip(below[1:4], above[1:4], strict=True)]
+        shared = [*map(min, below[1:4], above[1:4])]
         return below.divided(*shared), above.divided(*shared)
 
     with working_precision(FIRST_BITS):

@@ -160,7 +160,7 @@ def stable_pencil(
 ) -> StableLine:
     """All t for which p0 + t q is stable; None, in place of p0 and q, asks for more bits."""
 
-    @remembered(1)
+    @remembered()
     def line() -> _Line | None:
         parts = pencil()
         return None if parts is None else _Line.of(*parts)
@@ -207,7 +207,7 @@ class _Line(NamedTuple):
     @classmethod
     def of(cls, p0: Factored, q: Factored) -> "_Line":
         p0 = p0.without_windows()
-        if q.order_at_minus_one > q.at_minus_one and p0.at_minus_one:
+        if p0.at_minus_one:
             q = q.without_windows()
         known = (part[1:4] for part in (p0, q) if not part.is_zero)
         shared = [min(counts) for counts in zip(*known, strict=True)]
@@ -278,16 +278,17 @@ def _crossings(line: _Line, *, is_last_try: bool) -> tuple[list[Crossing], float
     if places is None:
         return None
     above, below = OnCircle.of(p0), OnCircle.of(q)
-    at = [(place.angle, above.at(place.angle), below.at(place.angle)) for place in places]
     sign = 2 if turn // 2 % 2 else -2  # of i^turn, but for i
-    sides = [place.slope * _real_sign(q, place.angle) * sign for place in places]
-    for place, order in ((1, q.at_one), (-1, q.order_at_minus_one)):
-        if order == 0:
-            angle = arb(0) if place == 1 else arb.pi()
-            at.append((angle, acb(p0.at_end(place)), acb(q.at_end(place))))
-            sides.append(_side_at_end(line, place))
+    at = [
+        (angle, above.at(angle), below.at(angle), slope * _real_sign(q, angle) * sign)
+        for angle, slope in places
+    ]
+    ends = (1, arb(0), q.at_one), (-1, arb.pi(), q.order_at_minus_one)
+    for end, angle, order in ends:
+        if not order:
+            at.append((angle, acb(p0.at_end(end)), acb(q.at_end(end)), _side_at_end(line, end)))
     found, horizon = [], inf
-    for (angle, value, by_t), side in zip(at, sides, strict=True):
+    for angle, value, by_t, side in at:
         if not by_t.contains(0):
             found.append(Crossing(-(value / by_t).real, angle, side or None))
         elif value.contains(0):
@@ -401,8 +402,7 @@ def _between(crossings: list[Crossing]) -> "list[arb] | None":
     if not crossings:
         return [arb(_SHARE)]
     first, last = crossings[0].t.lower(), crossings[-1].t.upper()
-    reach = max(abs(first), abs(last), key=float) * _SHARE
-    reach = reach if reach > 0 else arb(_SHARE)
+    reach = (1 + abs(first) + abs(last)) * _SHARE
     walls = [first - reach]
     for low, high in pairwise(crossing.t for crossing in crossings):
         walls.append((low.upper() + (high.lower() - low.upper()) * _SHARE).mid())

@@ -356,7 +356,7 @@ class _Parts(NamedTuple):
     pushed: "arb_poly"
 
     @classmethod
-    @remembered(128)
+    @remembered()
     def from_loop(cls, loop: LoopParameters) -> "_Parts":
         transition, newer, older, push, hit = _moves(loop)
         size = transition.nrows()

@@ -129,7 +129,7 @@ def is_growing(loop: PeriodicLoop, delays: Delays) -> bool:
         return bool(roots_outside(turn.charpoly(), most=0))
 
 
-@lru_cache(maxsize=256)
+@lru_cache
 def _held(device: Device, sample_time: float, start: float) -> Held:
     with working_precision(_BITS):
         sample = one_sample(device, sample_time)
@@ -137,7 +137,7 @@ def _held(device: Device, sample_time: float, start: float) -> Held:
         return np.array(states.tolist()), np.array(force.entries()), np.array(sample.above)
 
 
-@lru_cache(maxsize=256)
+@lru_cache
 def _held_in_floats(device: Device, sample_time: float, start: float) -> Held:
     transition, push, position = map(_floats, _held(device, sample_time, start))
     return transition, push, position

@@ -80,7 +80,7 @@ def decided(
         bits *= 2
 
 
-def remembered(count: int) -> Callable[[Function], Function]:
+def remembered(count: int = 64) -> Callable[[Function], Function]:
     """Keep so many answers of a function in balls, each for the precision that was set."""
 
     def decorate(function: Function) -> Function:
