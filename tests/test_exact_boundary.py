@@ -149,7 +149,7 @@ def test_lines_keep_a_root_and_are_stable_where_all_others_are_inside(
     def roots(alpha: float, beta: float) -> np.ndarray:
         return np.roots(np.array([1.0, alpha, beta]) @ parts.triple)
 
-    lines = root_lines(question, parts)
+    lines = root_lines(question)
     assert [line.angle for line in lines] == pytest.approx(np.pi * np.array(angles))
     for line in lines:
         z = np.exp(1j * line.angle)

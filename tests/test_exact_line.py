@@ -42,7 +42,7 @@ def column(loop: HapticLoop, stiffness: float) -> StableLine:
 def of_polynomials(p0: list[float], q: list[float]) -> StableLine:
     """The line p0 + t q of polynomials by their coefficients, lowest first."""
     rising = [fmpq_poly([fmpq(*Fraction(c).as_integer_ratio()) for c in p]) for p in (p0, q)]
-    triple = Triple(*map(Factored.from_rational, rising), NOTHING)
+    triple = Triple(*[Factored.from_rational(p) if p else NOTHING for p in rising], NOTHING)
     return stable_line(lambda: triple, (0.0, 0.0), (1.0, 0.0))
 
 
@@ -128,6 +128,13 @@ def test_a_wall_that_cancels_the_damping_of_the_device_is_no_wrong_answer() -> N
     loop = HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
     line = row(loop, -0.1)
     assert ends(line) == [] or line.status == LineStatus.UNDECIDED
+
+
+def test_a_polynomial_that_nothing_moves_is_stable_for_all_t_or_for_none() -> None:
+    for constant, expected in ((0.5, [(-np.inf, np.inf)]), (2.0, [])):
+        assert ends(of_polynomials([constant, 1], [])) == expected
+    # t (z - 1/2): at t = 0 nothing is left of it.
+    assert ends(of_polynomials([], [-0.5, 1])) == [(-np.inf, 0.0), (0.0, np.inf)]
 
 
 # --------------------------------------------------------------------- simulators and admittances

@@ -206,9 +206,9 @@ def test_without_poles_all_of_the_last_terms_must_be_small(
     assert found.settled(level, 10, is_impact=False) == expected
 
 
-def test_a_mode_that_is_next_to_the_circle_is_summed() -> None:
-    """A swing that loses 1e-17 a sample: |cos| is 2/pi in the mean, and 1 at most."""
-    delta = 2e-17
+@pytest.mark.parametrize("delta", [2e-17, 2e-40])
+def test_a_mode_that_is_next_to_the_circle_is_summed(delta: float) -> None:
+    """A swing that loses half as much a sample: |cos| is 2/pi in the mean, and 1 at most."""
     found = disturbed_responses(
         unit_loop(0.09, delta, 0.0, None, None), 0.0, 0.0, (False, False, True)
     )

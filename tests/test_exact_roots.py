@@ -10,7 +10,13 @@ from mpmath import mp, mpf
 from benchmarks.truth.plain import Loop, radius
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop
 from jaxstab import Filter, HapticLoop, Velocity
-from jaxstab.exact.roots import isolated_roots, poles, real_or_not, spectral_radius
+from jaxstab.exact.roots import (
+    isolated_roots,
+    poles,
+    real_or_not,
+    rough_radius,
+    spectral_radius,
+)
 from jaxstab.model.balls import Factored, Triple, ball_triple
 
 NOTHING = Factored(flint.arb_poly([]))
@@ -129,4 +135,5 @@ def test_a_large_radius_is_between_the_bounds_that_are_halved() -> None:
 def test_without_poles_but_for_those_at_0_the_radius_is_0(power: int) -> None:
     triple = Triple(Factored(flint.arb_poly([2]), power), NOTHING, NOTHING)
     assert spectral_radius(lambda: triple, 0.0, 0.0) == (0.0, 0.0)
+    assert rough_radius(lambda: triple, 0.0, 0.0) == 0.0
     assert poles(lambda: triple, 0.0, 0.0).values.tolist() == [0.0] * power

@@ -5,6 +5,7 @@ import warnings
 from math import inf, isnan, nan
 from typing import Any
 
+import flint
 import jax
 import numpy as np
 import open_loops
@@ -16,6 +17,8 @@ from mpmath import mp
 
 import jaxstab
 from jaxstab import Device, HapticLoop, Loop, Mode, Velocity
+from jaxstab.exact.frequency import readings
+from jaxstab.model.balls import Factored
 from jaxstab.scene import Scene, check_walls
 
 WINDOW = HapticLoop(
@@ -124,6 +127,27 @@ def test_an_integrator_has_margins_in_closed_form(gain: float) -> None:
     lag = (np.pi - angle) / 2.0 / angle
     assert margins.delay.value == pytest.approx(0.01 * lag, rel=1e-14)
     assert margins.sensitivity.value == pytest.approx(max(2.0 / (2.0 - gain), 1.0), rel=1e-15)
+
+
+def test_without_an_open_loop_and_with_one_of_1_the_numbers_are_known() -> None:
+    """L = 0; and L = 1, which has the modulus 1 everywhere: no angle is the crossover."""
+    below = Factored(flint.arb_poly([-0.5, 1]))
+    nothing = readings(lambda: (below, Factored(flint.arb_poly([]))))
+    assert [own.value for own in nothing] == [-inf, inf, inf, inf, 1.0, 0.0, 2.0]
+    assert all(own.error == 0.0 for own in nothing)
+    equal = readings(lambda: (below, below))
+    assert isnan(equal.phase.value)
+    assert isnan(equal.delay.value)
+    assert (equal.sensitivity[:2], equal.complementary[:2]) == ((0.5, 0.0), (0.5, 0.0))
+
+
+def test_a_gain_that_only_touches_1_may_be_a_crossover() -> None:
+    """L = (z^2 - 1)/(2 z^2): |L| = sin(theta) is 1 at a right angle, where L = 1."""
+    sides = Factored(flint.arb_poly([1]), 2), Factored(flint.arb_poly([0.5]), 0, 1, 1)
+    value, error, angle = readings(lambda: sides).phase
+    assert value == pytest.approx(np.pi, rel=1e-15)
+    assert error == inf  # the margin may be larger
+    assert angle == pytest.approx(np.pi / 2, rel=1e-15)
 
 
 def test_a_lead_that_makes_the_loop_unstable_is_the_phase_margin() -> None:

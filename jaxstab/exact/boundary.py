@@ -106,7 +106,7 @@ def curve_parts(loop: ScaledLoop) -> CurveParts:
             for place in (1, -1)
         ]
         roots = _roots(own.numerator), _roots(own.denominator)
-        poles = np.array([float(angle.mid()) for angle in _poles(loop, FIRST_BITS)])
+        poles = np.array([float(angle.mid()) for angle in _poles(loop)])
     falling = np.array(triple)[:, ::-1]
     return CurveParts(falling, np.array(whole), np.array(shifted), np.array(ends), *roots, poles)
 
@@ -257,10 +257,11 @@ class _Kept(NamedTuple):
     direction: "acb | None" = None
 
 
-def root_lines(loop: ScaledLoop, parts: CurveParts) -> list[RootLine]:
+def root_lines(loop: ScaledLoop) -> list[RootLine]:
     """Return the lines of walls with a root at 1, at -1, and at poles where the plant is real."""
     places = [(0.0, partial(_at_end, loop, 1)), (np.pi, partial(_at_end, loop, -1))]
-    places += [(pole, partial(_at_pole, loop, pole)) for pole in _real_poles(loop, parts)]
+    real = (pole for pole in _poles(loop) if _is_real(loop, pole))
+    places += [(float(pole.mid()), partial(_at_pole, loop, pole)) for pole in real]
     lines = []
     for angle, kept in places:
         ends = decided(lambda: _start_and_along(kept()))  # noqa: B023
@@ -289,9 +290,7 @@ def _at_end(loop: ScaledLoop, place: int) -> _Kept:
     return _Kept(b, s, r, Factored(one, at_one=1) if place == 1 else Factored(one, at_minus_one=1))
 
 
-def _at_pole(loop: ScaledLoop, pole: float) -> _Kept:
-    known = _pole_at(loop, pole)
-    angle = arb(pole) if known is None else known
+def _at_pole(loop: ScaledLoop, angle: "arb") -> _Kept:
     z, (base, stiffness, damping), unit = loop.at_angle(angle)
     s = arb(0) if stiffness.contains(0) else (stiffness * unit).real
     divisor = Factored(arb_poly([1, -2 * angle.cos(), 1]))
@@ -334,38 +333,14 @@ def _without(part: Factored, divisor: Factored) -> Factored:
 
 
 @lru_cache
-def _poles(loop: ScaledLoop, bits: int) -> "list[arb]":
-    """The angles where V is real, to so many bits or more; none where the most do not tell."""
-    with working_precision(bits):
-        found = real_quotient_angles(*loop.balls().walls)
-    if found is None and bits < _LAST_BITS:
-        return _poles(loop, _LAST_BITS)
-    return found or []
+def _poles(loop: ScaledLoop) -> "list[arb]":
+    """The angles where V is real; none where the balls do not tell them."""
+    with working_precision(_LAST_BITS):
+        return real_quotient_angles(*loop.balls().walls) or []
 
 
-def _pole_at(loop: ScaledLoop, angle: float) -> "arb | None":
-    """The pole at an angle to the most bits, which may tell that there is none."""
-    apart = 1e-9
-    near = (pole for pole in _poles(loop, _LAST_BITS) if abs(float(pole.mid()) - angle) < apart)
-    return next(near, None)
-
-
-def _real_poles(loop: ScaledLoop, parts: CurveParts) -> list[float]:
-    """Return the poles that keep a pair for all walls of a line."""
-    near = 1e-9  # of its size: an imaginary part that may be 0
-    if not parts.poles.size:
-        return []
-    z = np.exp(1j * parts.poles)
-    base, stiffness, damping = (np.polyval(part, z) for part in parts.triple)
-    unit = np.where(abs(stiffness) > abs(damping), stiffness, damping).conj()
-    is_near = abs((base * unit).imag) <= near * abs(base) * abs(unit)
-    return [angle for angle in parts.poles[is_near].tolist() if _is_real(loop, angle)]
-
-
-def _is_real(loop: ScaledLoop, angle: float) -> bool:
-    pole = _pole_at(loop, angle)
-    if pole is None:
-        return False
+def _is_real(loop: ScaledLoop, pole: "arb") -> bool:
+    """True if a pole keeps a pair for all walls of a line."""
     with working_precision(_LAST_BITS):
         _, (base, *_), unit = loop.at_angle(pole)
         return bool(not unit.contains(0) and (base * unit).imag.contains(0))

@@ -295,12 +295,11 @@ class _Wall(NamedTuple):
 
     def by_powers(self, numerators: Quotients, terms: int) -> Responses | None:
         """Responses by x^m mod p, with that many terms before; None where m is too large."""
-        plain = self.p._replace(power=0).polynomial()
-        power, count = _z() % plain, 1
+        power, count = _z() % self.whole, 1
         while not _size(power) < 2.0**-30:
             if count > _MOST_POWERS:
                 return None
-            power, count = power * power % plain, 2 * count
+            power, count = power * power % self.whole, 2 * count
         late = max(terms, self.whole.degree() + 1)
         head = self._head(numerators, late + count)
         if head is None:

@@ -150,7 +150,7 @@ def _largest_modulus(p: Factored | None) -> Number | None:
         return None
     for root in roots:
         radius = radius.max(abs(root))
-    return Number.of(radius) if radius.rel_accuracy_bits() > 60 or radius == 0 else None
+    return Number.of(radius) if radius.rel_accuracy_bits() > 60 else None
 
 
 def _radius_between(p: Factored | None) -> Number | None:

@@ -194,7 +194,7 @@ def curve_of(loop: ScaledLoop) -> Curve:
         shifted=np.concatenate([parts.shifted, moved], axis=1),
         close=np.max(np.where(terms < sizes[:, None], half_circle, 0.0), axis=-1),
         ends=parts.ends,
-        lines=root_lines(loop, parts),
+        lines=root_lines(loop),
         poles=parts.poles,
         resonances=np.stack([np.abs(np.angle(roots)), np.clip(distance, nearest, farthest)]),
         stretches=_undamped(loop, parts),
