@@ -148,7 +148,9 @@ def test_the_rules_of_simulators(b: float) -> None:
 
 def test_a_ray_is_stable_to_infinity() -> None:
     # z^2 + t z^2 + 1/2: |1 + t| > 1/2, through infinity.
-    assert ends(of_polynomials([0.5, 0, 1], [0, 0, 1])) == [(-np.inf, -1.5), (-0.5, np.inf)]
+    line = of_polynomials([0.5, 0, 1], [0, 0, 1])
+    assert ends(line) == [(-np.inf, -1.5), (-0.5, np.inf)]
+    assert [end.is_shared for pair in line.intervals for end in pair] == [False, True, False, False]
 
 
 @pytest.mark.parametrize(

@@ -113,11 +113,10 @@ def curve_parts(loop: ScaledLoop) -> CurveParts:
 
 def _enough_bits(loop: ScaledLoop) -> AbstractContextManager[None]:
     """Set a precision for coefficients in powers of z - 1: so many of them are sums that cancel."""
-    short = 32  # degree of p(z)
     bits = _bits_for_digits(loop)
     with working_precision(bits):
         degree = loop.triple().degree
-    return working_precision(bits + 2 * degree if degree > short else bits)
+    return working_precision(bits + 2 * degree)
 
 
 @lru_cache
@@ -131,7 +130,7 @@ def _bits_for_digits(loop: ScaledLoop) -> int:
 
 
 def _has_digits(part: Factored) -> bool:
-    digits = 2.0**-70  # of the largest coefficient
+    digits = 1e-21  # of the largest coefficient
     rising = part.rest.coeffs()
     enough = max(c.abs_upper() for c in rising) * digits if rising else 0
     return all(c.rad() <= enough for c in rising)

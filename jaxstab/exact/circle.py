@@ -43,10 +43,10 @@ from itertools import cycle, pairwise
 from typing import NamedTuple
 
 import numpy as np
-from flint import acb, arb, arb_mat, arb_poly, ctx, fmpq
+from flint import acb, arb, arb_mat, arb_poly, fmpq
 
 from jaxstab.exact.roots import real_roots, sign_of
-from jaxstab.model.device.parts import remembered
+from jaxstab.model.device.parts import remembered, tiny
 
 _OVERLAP = 9  # a cell reaches to 9/8 of its share: the ends of shares may be moved by 1/8
 
@@ -141,13 +141,13 @@ def _guesses(cosines: "list[arb]") -> list[float]:
 
 def _root_at(f: "arb_poly", slope: "arb_poly", guess: float) -> "arb":
     """The one root in a ball around the end of Newton's iteration; NaN if none is found."""
-    most, small = 10, arb(2) ** -(ctx.prec // 4)  # steps; the last but one, which is squared
+    most = 10  # steps; the error of the last but one is squared
     x = arb(guess)
     for _ in range(most):
         rise = slope(x)
         step = f(x) / rise
         x = (x - step).mid()
-        if abs(step) < small:
+        if abs(step) < tiny(4):
             value = f(x)
             around = arb(x, (4 * value / rise).abs_upper())
             root = x - value / slope(around)
@@ -286,7 +286,7 @@ def _sign_on_cell(cells: _Cells, cell: int) -> int:
 def _isolated(part: _Part, first: "tuple[arb, int]", last: "tuple[arb, int]") -> list[Zero] | None:
     """The zeros of a part between two places with their signs, from left to right, in t."""
     found: list[Zero] = []
-    shortest = arb(2) ** -(ctx.prec // 3)
+    shortest = tiny(3)
     intervals = [(first, last)]
     while intervals:
         (a, sign_a), (b, sign_b) = intervals.pop()
@@ -324,7 +324,7 @@ def _refined(part: _Part, a: "arb", b: "arb", sign_b: int) -> Zero | None:
     """The zero of a monotone part with unlike signs at its ends."""
     refinements = 80
     low, high = a.mid(), b.mid()
-    x, smallest = low, arb(2) ** -ctx.prec
+    x, smallest = low, tiny(1)
     for _ in range(refinements):
         f = part.value(x)
         sign = sign_of(f + part.missed)
@@ -370,7 +370,7 @@ def _weights(degree: int, cells: int) -> "tuple[arb_mat, arb_mat, arb_mat]":
     steps = [arb.pi() * (_OVERLAP * k) / (16 * cells) for k in range(degree + 1)]
     last = [arb(1)] * (degree + 1)
     rows: list[list[arb]] = []
-    while len(rows) % 2 or not last[-1] < arb(2) ** -(2 * ctx.prec // 3):
+    while len(rows) % 2 or not last[-1] < tiny(3) ** 2:
         rows.append(last)
         last = [value * step / len(rows) for value, step in zip(last, steps, strict=True)]
     even, odd, missed = map(arb_mat, (rows[::2], rows[1::2], [last]))

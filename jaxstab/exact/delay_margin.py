@@ -70,7 +70,7 @@ def delay_margin(
         delay: of the loop, in samples, at which the wall is stable.
         wall: stiffness and damping.
     """
-    short = 2.0**-31  # of a margin: a box that is reported
+    short = 5e-10  # of a margin: a box that is reported
     most_boxes = 20_000
     with working_precision(FIRST_BITS):
         search = _Search(loop(), sample(), delay, wall)

@@ -25,12 +25,10 @@ from jaxtyping import Complex128, Float64
 
 from jaxstab.exact.circle import zeros
 from jaxstab.exact.line import OnCircle, real_quotient_angles, stable_pencil
-from jaxstab.exact.roots import Number
+from jaxstab.exact.roots import Number, is_sharp
 from jaxstab.exact.small_gain import squared
 from jaxstab.model.balls import Factored
 from jaxstab.model.device.parts import FIRST_BITS, decided, working_precision
-
-_ACCURATE = 56  # bits of a number
 
 
 class Reading(NamedTuple):
@@ -164,7 +162,7 @@ def _extreme(
         best = best.max(ball) if is_largest else best.min(ball)
     equal = [place for place in places if place.ball.overlaps(best)]
     best = best if of is None else of / best
-    if not equal or not best.rel_accuracy_bits() >= _ACCURATE:
+    if not equal or not is_sharp(best):
         return None
     _, angle, is_known = min(equal, key=lambda place: float(place.angle.mid()))
     value, error = Number.of(best)

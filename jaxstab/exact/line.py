@@ -47,7 +47,7 @@ from flint import acb, acb_poly, arb, arb_poly, ctx
 
 from jaxstab.conventions import MEASURED, Status
 from jaxstab.exact.circle import zeros
-from jaxstab.exact.roots import Number, sign_of
+from jaxstab.exact.roots import Number, is_sharp, sign_of
 from jaxstab.exact.verdict import TripleAt, roots_outside
 from jaxstab.model.balls import Factored
 from jaxstab.model.device.parts import FIRST_BITS, decided, remembered
@@ -233,9 +233,8 @@ class _Found(NamedTuple):
 
 def _found(line: _Line) -> _Found | None:
     """The crossings, each as accurate as a float64; None for more bits."""
-    accurate = 60  # bits of an end
     patient = 512  # bits from which on places without a direction are taken as they are
-    nothing = 2.0**-100  # of the largest end: an error that small is none
+    nothing = 1e-30  # of the largest end: an error that small is none
     is_last_try = ctx.prec >= patient
     found = _crossings(line, is_last_try=is_last_try)
     if found is None:
@@ -243,7 +242,7 @@ def _found(line: _Line) -> _Found | None:
     crossings = _joined(found[0])
     scale = max((crossing.t.abs_upper() for crossing in crossings), default=arb(0), key=float)
     for t, *_ in crossings:
-        is_known = t.rel_accuracy_bits() >= accurate or t.rad() < scale * nothing
+        is_known = is_sharp(t) or t.rad() < scale * nothing
         if not (is_known or is_last_try):
             return None
     between = _between(crossings)

@@ -30,7 +30,7 @@ from jaxstab.model.filters import reflections
 
 _MOST_BITS = 1024
 _MOST_PIECES = 1000  # of the rectangle
-_MOST_WORK = 2**22  # products of balls: seconds
+_MOST_WORK = 4_000_000  # products of balls: seconds
 
 
 class Axis(NamedTuple):
@@ -55,7 +55,7 @@ class Axis(NamedTuple):
 
     @property
     def _apart(self) -> float:
-        return self.low * (1.0 + 2.0**-20)
+        return self.low * (1.0 + 1e-6)
 
     def to_bernstein(self, nodes: list[float]) -> arb_mat:
         """From values at nodes to coefficients on the axis."""

@@ -30,7 +30,7 @@ import numpy as np
 from flint import acb, arb, arb_mat, arb_poly, arb_series
 from jaxtyping import Complex128, Float64
 
-from jaxstab.exact.roots import isolated_roots, real_or_not
+from jaxstab.exact.roots import is_sharp, isolated_roots, real_or_not
 from jaxstab.exact.verdict import TripleAt, are_inside
 from jaxstab.model.balls import BallLoop, Factored, ball_loop
 from jaxstab.model.device.device import in_steps
@@ -42,10 +42,10 @@ from jaxstab.model.filters import behind_measured
 from jaxstab.model.loop import LoopParameters
 from jaxstab.rounding import EPS, UNDERFLOW, UNIT
 
-_MOST_POWERS = 1 << 17  # terms where poles coincide
-_BLOCK = 1 << 20  # numbers that are evaluated at once
-_NARROW = 2.0**-80  # of the largest term: balls of all terms of a quotient
-_UP = 1.0 + 2.0**-50  # for a number that was rounded to float64, or the sum of a few
+_MOST_POWERS = 100_000  # terms where poles coincide
+_BLOCK = 1_000_000  # numbers that are evaluated at once
+_NARROW = 1e-24  # of the largest term: balls of all terms of a quotient
+_UP = 1.0 + 1e-15  # for a number that was rounded to float64, or the sum of a few
 
 Causes = tuple[bool, bool, bool]  # errors of the read position, errors of the force, and friction
 
@@ -68,7 +68,7 @@ class Modes(NamedTuple):
 
     def powers(self, terms: int) -> tuple[np.ndarray, np.ndarray, float]:
         """z^i for i < W, z^(W l) for W l < terms, and the relative error of values from them."""
-        width = 1 << ceil(0.5 * log(terms, 2))
+        width = ceil(terms**0.5)
         count = ceil(terms / width)
         far = np.array([complex(ball**width) for ball, _ in self.balls])
         with np.errstate(under="ignore"):
@@ -80,7 +80,7 @@ class Modes(NamedTuple):
 
         def is_low(terms: int) -> bool:
             with np.errstate(under="ignore"):
-                bound = self.sizes[0, 0] @ self.moduli**terms * (1.0 + 2.0**-40)
+                bound = self.sizes[0, 0] @ self.moduli**terms * (1.0 + 1e-12)
             return bool(bound <= limit)
 
         return bisect_left(range(most + 1), True, key=is_low)
@@ -117,10 +117,10 @@ class Responses(NamedTuple):
 
         Rows and columns may be wrong by a unit of each entry, and by 2^-150 of the largest one.
         """
-        most_terms = 1 << 22  # that are summed; what comes later is bounded
+        most_terms = 4_000_000  # that are summed; what comes later is bounded
         nothing = 1e-12  # a share of a response that is not looked at
         large_rows, large_columns = (
-            np.abs(side) + 2.0**-100 * np.abs(side).max(initial=0.0) for side in (rows, columns)
+            np.abs(side) + 1e-30 * np.abs(side).max(initial=0.0) for side in (rows, columns)
         )
         inputs, series, summed = self.head.shape
         rounding = UNIT * (inputs + series + 8)
@@ -274,11 +274,11 @@ class _Wall(NamedTuple):
         slope = self.whole.derivative()
         moduli, gaps, balls = list[float](), list[float](), list[list[list[acb]]]()
         for root, is_real in chosen:
-            modulus = abs(root)
-            if not modulus < 1 or not (modulus < 1e-40 or modulus.rel_accuracy_bits() >= 70):
+            gap = 1 - abs(root)
+            if not gap > 0 or not (abs(root) < 1e-40 or is_sharp(root)):
                 return None
-            moduli.append(float(modulus.upper()) * _UP)
-            gaps.append(float((1 - modulus).lower()) / _UP)
+            moduli.append(_above(root))
+            gaps.append(float(gap.lower()) / _UP)
             share = root ** (start - 1) * (1 if is_real else 2) / slope(root)
             factors = ((factor(root) * share, series) for factor, series in numerators)
             balls.append([[part(root) * factor for part in series] for factor, series in factors])
@@ -296,7 +296,7 @@ class _Wall(NamedTuple):
     def by_powers(self, numerators: Quotients, terms: int) -> Responses | None:
         """Responses by x^m mod p, with that many terms before; None where m is too large."""
         power, count = _z() % self.whole, 1
-        while not _size(power) < 2.0**-30:
+        while not _size(power) < 1e-9:
             if count > _MOST_POWERS:
                 return None
             power, count = power * power % self.whole, 2 * count
@@ -304,7 +304,7 @@ class _Wall(NamedTuple):
         head = self._head(numerators, late + count)
         if head is None:
             return None
-        size = float(_size(power).upper()) * _UP
+        size = _above(_size(power))
         return Responses(*head, None, late, size / (1.0 - size) * _UP)
 
     def _head(self, numerators: Quotients, terms: int) -> "tuple[np.ndarray, arb_poly] | None":
@@ -409,7 +409,7 @@ def _moves(loop: LoopParameters) -> "tuple[arb_mat, list[arb], list[arb], list[a
     return arb_mat([row[:size] for row in whole[:size]]), newer, older, push, hit
 
 
-def _above(ball: "acb") -> float:
+def _above(ball: "acb | arb") -> float:
     return float(ball.abs_upper()) * _UP
 
 

@@ -21,7 +21,7 @@ from jaxtyping import Complex128
 
 from jaxstab.exact.verdict import TripleAt, roots_outside
 from jaxstab.model.balls import Factored
-from jaxstab.model.device.parts import FIRST_BITS, decided, flint, working_precision
+from jaxstab.model.device.parts import FIRST_BITS, decided, flint, tiny, working_precision
 
 if TYPE_CHECKING:
     from flint import acb, arb, arb_poly
@@ -46,6 +46,11 @@ class Number(NamedTuple):
 def sign_of(ball: "arb") -> int:
     """1 or -1 where all of a ball has that sign, else 0."""
     return (1 if ball > 0 else 0) - (1 if ball < 0 else 0)
+
+
+def is_sharp(ball: "arb | acb") -> bool:
+    """True if a ball is narrower than what a float64 tells of it."""
+    return bool(ball.rel_accuracy_bits() >= 60)
 
 
 class Poles(NamedTuple):
@@ -88,7 +93,7 @@ def poles(triple: TripleAt, stiffness: float, damping: float) -> Poles:
             values += [pole] if is_real else [pole, pole.conjugate()]
             error = max(error, real.error + imaginary.error)
     values.sort(key=abs, reverse=True)
-    return Poles(np.array(values, np.complex128), error * (1.0 + 2.0**-50))
+    return Poles(np.array(values, np.complex128), error * (1.0 + 1e-15))
 
 
 def _polynomial(triple: TripleAt, stiffness: float, damping: float) -> Factored | None:
@@ -113,7 +118,7 @@ def isolated_roots(p: Factored | None) -> "list[acb] | None":
 
 def _isolated(polynomial: "arb_poly") -> "list[acb] | None":
     try:
-        return list(flint.acb_poly(polynomial).roots(tol=flint.arb(2) ** -(flint.ctx.prec // 2)))
+        return list(flint.acb_poly(polynomial).roots(tol=tiny(2)))
     except ValueError:
         return None
 
@@ -150,7 +155,7 @@ def _largest_modulus(p: Factored | None) -> Number | None:
         return None
     for root in roots:
         radius = radius.max(abs(root))
-    return Number.of(radius) if radius.rel_accuracy_bits() > 60 else None
+    return Number.of(radius) if is_sharp(radius) else None
 
 
 def _radius_between(p: Factored | None) -> Number | None:
@@ -171,6 +176,6 @@ def _radius_between(p: Factored | None) -> Number | None:
             return None
         low, high = (middle, high) if outside else (low, middle)
         radius = low.union(high)
-        if radius.rel_accuracy_bits() > 60:
+        if is_sharp(radius):
             break
     return Number.of(radius.max(known))

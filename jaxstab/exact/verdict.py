@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from jaxstab.conventions import Status, Verdict
 from jaxstab.model.affine import AffineParts, affine_triple
 from jaxstab.model.balls import Factored, Triple
-from jaxstab.model.device.parts import decided, flint
+from jaxstab.model.device.parts import decided, flint, tiny
 from jaxstab.model.filters import has_roots_inside, reflections
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ def roots_outside(p: "arb_poly", most: int | None = None) -> int | None:
     """
     count = _counted(p.coeffs(), most)
     if count is None:
-        near = flint.arb(2) ** -(flint.ctx.prec // 4)
+        near = tiny(4)
         stretched = (p(flint.arb_poly([0, 1 + side])) for side in (near, -near))
         counts = {_counted(q.coeffs(), most) for q in stretched}
         count = counts.pop() if len(counts) == 1 else None

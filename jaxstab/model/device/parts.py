@@ -80,6 +80,11 @@ def decided(
         bits *= 2
 
 
+def tiny(divisor: int) -> "arb":
+    """2 to the power of minus the bits of balls over a divisor."""
+    return flint.arb(2) ** -(flint.ctx.prec // divisor)
+
+
 def remembered(count: int = 64) -> Callable[[Function], Function]:
     """Keep so many answers of a function in balls, each for the precision that was set."""
 
