@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mpmath import mp, mpf
 
-from jaxstab import HapticLoop, Velocity
+from jaxstab import Device, HapticLoop, Velocity
 from jaxstab.exact.response import Modes, Responses, _Wall, disturbed_responses, settled_after
 from jaxstab.model.device.parts import working_precision
 from jaxstab.model.loop import unit_loop
@@ -129,6 +129,22 @@ def test_poles_that_coincide_settle_as_late_as_they_do(slow: float, excitation: 
     size = (1.0 + times if excitation == "force" else times) * np.exp(-times)
     expected = np.flatnonzero(size > 0.02 * size.max())[-1] + 1
     assert settled_after(loop, 0.0, 0.0, excitation, 0.02, 20000) == expected
+
+
+def test_an_impact_does_not_move_the_actuator() -> None:
+    """Of a free device the motion is exp(-d t/2) sin(w t)/w over the mass, in closed form."""
+    mass, damping, stiffness, period = 0.25, 5.0, 300.0, 1e-3
+    device = Device.mass_spring_damper(mass, damping=damping, stiffness=stiffness)
+    loop = HapticLoop(device=device.with_actuator(100.0), sample_time=period)
+    rate, times = damping / mass, period * np.arange(100)
+    w = np.sqrt(stiffness / mass - rate**2 / 4.0)
+    truth = np.exp(-rate * times / 2.0) * np.sin(w * times) / w
+    with working_precision(384):
+        wall = _Wall.from_loop(loop, 0.0, 0.0)
+        found = wall.by_powers(wall.begun(is_impact=True), 100)
+        assert found is not None
+    moved = found.head[0, 0, :100]
+    np.testing.assert_allclose(moved / moved[1], truth / truth[1], rtol=1e-9, atol=1e-9)
 
 
 def test_what_is_not_stable_or_no_number_has_no_sums() -> None:
