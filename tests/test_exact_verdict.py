@@ -11,6 +11,10 @@ import pytest
 from benchmarks.truth.plain import Loop, is_stable
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop, hostile_walls
 from jaxstab import Device, Filter, HapticLoop, Mode, Verdict
+from jaxstab.conventions import Status
+from jaxstab.exact.delay_margin import DelayStatus
+from jaxstab.exact.line import LineStatus
+from jaxstab.exact.small_gain import SmallGainStatus
 from jaxstab.exact.verdict import (
     VerdictStatus,
     rational_verdict,
@@ -199,6 +203,13 @@ def test_threads_ask_at_the_same_time_and_the_precision_is_restored() -> None:
         assert list(pool.map(verdicts, range(8))) == alone
     assert flint.ctx.prec == before
     assert {1, 2} <= {code for codes in alone for code in codes}
+
+
+@pytest.mark.parametrize("status", [VerdictStatus, LineStatus, DelayStatus, SmallGainStatus])
+def test_statuses_are_numbered_from_1(status: type[Status]) -> None:
+    """0 is that of an array that nobody has filled; 1 is proved."""
+    assert [int(member) for member in status] == list(range(1, len(status) + 1))
+    assert status.PROVED == 1  # type: ignore[attr-defined]
 
 
 def test_bits_are_doubled_up_to_the_most() -> None:

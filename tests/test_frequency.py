@@ -141,6 +141,14 @@ def test_without_an_open_loop_and_with_one_of_1_the_numbers_are_known() -> None:
     assert (equal.sensitivity[:2], equal.complementary[:2]) == ((0.5, 0.0), (0.5, 0.0))
 
 
+def test_gain_margins_are_those_of_the_interval_that_holds_the_loop() -> None:
+    """L = 3/(2 (z - 2)): z - 2 + 3 t/2 is stable for t from 2/3 to 2, not at t = 1/2."""
+    sides = Factored(flint.arb_poly([-2, 1])), Factored(flint.arb_poly([1.5]))
+    margins = readings(lambda: sides)
+    assert margins.least_gain.value == pytest.approx(2.0 / 3.0, rel=1e-15)
+    assert margins.largest_gain.value == pytest.approx(2.0, rel=1e-15)
+
+
 def test_a_gain_that_only_touches_1_may_be_a_crossover() -> None:
     """L = (z^2 - 1)/(2 z^2): |L| = sin(theta) is 1 at a right angle, where L = 1."""
     sides = Factored(flint.arb_poly([1]), 2), Factored(flint.arb_poly([0.5]), 0, 1, 1)
