@@ -231,6 +231,18 @@ def test_a_mode_that_is_next_to_the_circle_is_summed(delta: float) -> None:
     assert found is not None
     (total,) = found.sums(np.eye(4)[:1], np.array([[1.0, 0.0]]))
     assert 2.0 / np.pi * (2.0 / delta) * 0.999 < total < 2.0 / delta * 1.2
+    assert found.modes is not None
+    (modulus,), (gap,) = found.modes.moduli.tolist(), found.modes.gaps.tolist()
+    with mp.workdps(60):
+        truth = mp.exp(-mpf(delta) / 2)
+        assert truth <= mpf(modulus) < truth * (1 + 4e-15)
+        assert (1 - truth) * (1 - 4e-15) < mpf(gap) <= 1 - truth
+
+
+def test_the_filter_of_a_gain_that_is_0_leaves_modes_told_apart() -> None:
+    """Its double pole is none of the loop, which is too close to the circle for powers."""
+    loop = unit_loop(0.09, 1e-8, 0.0, Velocity.low_pass(0.1, order=2), None)
+    assert disturbed_responses(loop, 1e-9, 0.0, (True, False, False)) is not None
 
 
 @pytest.mark.parametrize("growth", [0.0, 0.9])

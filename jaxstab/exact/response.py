@@ -155,8 +155,9 @@ class Responses(NamedTuple):
         horizon; None where there are not enough terms in the head.
         """
         values = self.head[0, 0]
-        wrong = np.abs(values) * EPS + _NARROW * np.abs(values).max()
-        limit = level * (np.abs(values).max() if is_impact else 1.0) * (1.0 - 8.0 * UNIT)
+        # No less than 8 units of a value, here and of those from modes: comparisons may round.
+        wrong = np.abs(values) * (4.0 * EPS) + _NARROW * np.abs(values).max()
+        limit = level * (np.abs(values).max() if is_impact else 1.0)
         if self.modes is None:
             if np.any((np.abs(values) + wrong)[self.late :] > limit):
                 return None
@@ -169,7 +170,7 @@ class Responses(NamedTuple):
             values, wrong = np.append(values, more), np.append(wrong, error)
         largest = np.abs(values).max() if is_impact else 1.0
         bound = arb(level) * (self._largest_ball(values, wrong) if is_impact else 1)
-        doubt = np.abs(values) + wrong > level * (largest - wrong.max()) * (1.0 - 4.0 * UNIT)
+        doubt = np.abs(values) + wrong > level * (largest - wrong.max())
         for term in np.flatnonzero(doubt)[::-1].tolist():
             if not self._ball(term) <= bound:
                 return float(term + 1) if term < horizon else nan
