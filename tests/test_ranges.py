@@ -82,14 +82,17 @@ def test_the_corner_of_a_triangle_is_met(side: float) -> None:
     assert verdict == (Verdict.STABLE if side < 1.0 else Verdict.UNSTABLE)
 
 
-def test_a_root_outside_of_all_corners_and_nodes_is_found() -> None:
-    """z^2 + a z + b, a from 0 to 1.9 and back: 1 + b - a is negative next to the middle alone."""
+@pytest.mark.parametrize("is_first", [True, False])
+@pytest.mark.parametrize("most", [1749, 1751])
+def test_a_root_outside_of_all_corners_and_nodes_is_found(is_first: bool, most: int) -> None:
+    """z^2 + a z + 3/4, a from 0 up and back: 7/4 - a may be negative next to one place alone."""
 
-    def p(x: float, _: float) -> Factored:
-        t = fmpq(*Fraction(x).as_integer_ratio()) - 1
-        return Factored(arb_poly([arb(0.75), arb(fmpq(1751, 1000) * 4 * t * (1 - t)), arb(1)]))
+    def p(*pair: float) -> Factored:
+        t = fmpq(*Fraction(pair[0] if is_first else pair[1]).as_integer_ratio()) - 1
+        return Factored(arb_poly([arb(0.75), arb(fmpq(most, 1000) * 4 * t * (1 - t)), arb(1)]))
 
-    assert stable_over(p, Axis(1.0, 2.0, 2), Axis(1.0, 1.0)) == Verdict.UNSTABLE
+    axes = (Axis(1.0, 1.9, 2), Axis(1.0, 1.0))[:: 1 if is_first else -1]
+    assert stable_over(p, *axes) == (Verdict.STABLE if most < 1750 else Verdict.UNSTABLE)
 
 
 def test_a_range_as_narrow_as_rounding_is_proved() -> None:
