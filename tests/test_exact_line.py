@@ -150,7 +150,9 @@ def test_a_ray_is_stable_to_infinity() -> None:
     # z^2 + t z^2 + 1/2: |1 + t| > 1/2, through infinity.
     line = of_polynomials([0.5, 0, 1], [0, 0, 1])
     assert ends(line) == [(-np.inf, -1.5), (-0.5, np.inf)]
-    assert [line.intervals[0].low.error, line.intervals[1].high.error] == [0.0, 0.0]
+    low, high = line.intervals[0].low, line.intervals[1].high
+    assert low._replace(angle=0.0) == (-np.inf, 0.0, 0.0, False, 0.0, None)
+    assert high._replace(angle=0.0) == (np.inf, 0.0, 0.0, False, 0.0, None)
     assert [end.is_shared for pair in line.intervals for end in pair] == [False, True, False, False]
 
 
