@@ -13,6 +13,7 @@ from mpmath import mp, mpc, mpf
 from jaxstab import Filter, HapticLoop, Velocity
 from jaxstab.exact.boundary import (
     ScaledLoop,
+    _has_digits,
     _Kept,
     _start_and_along,
     _without,
@@ -92,6 +93,19 @@ def test_a_long_filter_has_the_digits_of_float64_about_one() -> None:
     truth = [float(math.comb(40, k) * (1 - q) ** (40 - k)) for k in range(41)]
     found = curve_parts(ScaledLoop(loop, (1.0, 1.0))).shifted[0][3]
     np.testing.assert_allclose(found[1:42], truth, rtol=4e-16)
+
+
+def test_digits_are_those_of_every_coefficient_beside_the_largest() -> None:
+    wide, narrow, nothing = flint.arb(1, 1e-18), flint.arb(1, 1e-25), flint.arb(0, 1e-20)
+    for rising, expected in (
+        ([narrow, narrow], True),
+        ([wide, narrow], False),
+        ([narrow, wide], False),
+        ([nothing, narrow], False),
+        ([nothing, 100 * narrow], True),
+        ([], True),
+    ):
+        assert _has_digits(Factored(flint.arb_poly(rising))) == expected
 
 
 @pytest.mark.parametrize("angle", [0.3, 3.0])
