@@ -280,6 +280,15 @@ def test_what_is_not_known_up_to_twice_the_horizon_is_not_settled(
     assert found.settled(2.5, horizon, is_impact=False) == 0.0  # the bound is 2 at first
 
 
+def test_the_largest_term_is_looked_for_among_all_that_may_be_it() -> None:
+    """The second is larger by 2^-60, and smaller in values that are wrong by 2^-52."""
+    values, wrong = np.array([1.0, 1.0 - 2.0**-53, 0.5]), np.full(3, 2.0**-52)
+    with working_precision(192):
+        more = 1 + flint.arb(2) ** -60
+        found = Responses(values[None, None], flint.arb_poly([1, more, 0.5]))
+        assert found._largest_ball(values, wrong) == more
+
+
 def test_after_a_blow_the_level_is_a_share_of_the_largest_deviation() -> None:
     """A tenth of 0.5; 0.15 is above it, and below a tenth over 0.5."""
     head = [0.5, 0.15, 0.01, 0.0]
