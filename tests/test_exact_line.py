@@ -121,6 +121,7 @@ def test_without_stiffness_a_free_device_only_drifts() -> None:
 def test_undamped_free_masses_have_two_roots_at_one() -> None:
     line = row(HapticLoop(**UNIT, delay=1.0), 0.0)
     assert ends(line) == []
+    assert repr(line).splitlines()[1:] == ["  none"]
     assert 0.0 in [crossing.value for crossing in line.crossings]
 
 
@@ -150,6 +151,7 @@ def test_a_ray_is_stable_to_infinity() -> None:
     # z^2 + t z^2 + 1/2: |1 + t| > 1/2, through infinity.
     line = of_polynomials([0.5, 0, 1], [0, 0, 1])
     assert ends(line) == [(-np.inf, -1.5), (-0.5, np.inf)]
+    assert [text.strip()[:8] for text in repr(line).splitlines()[1:]] == ["-inf to ", "-0.50000"]
     low, high = line.intervals[0].low, line.intervals[1].high
     assert low._replace(angle=0.0) == (-np.inf, 0.0, 0.0, False, 0.0, None)
     assert high._replace(angle=0.0) == (np.inf, 0.0, 0.0, False, 0.0, None)
