@@ -280,7 +280,7 @@ def _turn(loop: ScaledLoop, at_root: Callable[[], _Kept]) -> float | None:
         return nan
     p0, q = (part.polynomial()(kept.z) for part in parts)  # p' at the root over 2i sin(theta)
     rest, slope = ((kept.direction * value.conjugate()).imag for value in (p0, q))
-    return nan if slope.contains(0) else float((-rest / slope).mid())
+    return float((-rest / slope).mid())  # NaN where the slope may be 0
 
 
 def _at_end(loop: ScaledLoop, place: int) -> _Kept:
