@@ -1,5 +1,6 @@
 """Zeros of cosine sums that were chosen, by both ways of isolating them."""
 
+import math
 from collections.abc import Callable
 
 import flint
@@ -16,6 +17,7 @@ from jaxstab.exact.circle import (
     _guesses,
     _Part,
     _place,
+    _sign_on_cell,
     _sturm_count,
     is_positive,
     zeros,
@@ -216,6 +218,22 @@ def test_cells_know_their_sum_and_how_much_its_fourth_derivative_can_be(degree: 
             value = np.sum(numbers * np.cos(powers * angle))
             rounding = flint.arb(0, 1e-12 * degree)
             assert (part.value(flint.arb(t)) + part.missed + rounding).contains(flint.arb(value))
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_a_cell_with_a_zero_has_no_sign_whichever_derivative_makes_it(order: int) -> None:
+    """About the middle the sum is 1 - (t/0.97)^order and little else, t = 1 the cell's end."""
+    cell, powers = 5, np.arange(8)
+    cells = _Cells([flint.arb(1)] * 8)
+    half = float(cells.half.mid())
+    middle = np.pi * (cell + 0.5) / cells.count
+    rows = [np.cos(powers * middle + np.pi / 2 * k) * powers.astype(float) ** k for k in range(8)]
+    wanted = np.zeros(8)
+    wanted[0], wanted[order] = 1.0, -math.factorial(order) / (0.97 * half) ** order
+    numbers = np.linalg.solve(rows, wanted)
+    ends = [np.cos(powers * (middle + side * half)) @ numbers for side in (-1, 1)]
+    assert min(ends) < 0.0  # and 1 in the middle
+    assert _sign_on_cell(_Cells([flint.arb(c) for c in numbers.tolist()]), cell) == 0
 
 
 def test_a_zero_that_may_be_at_an_end_is_not_left_out() -> None:
