@@ -470,6 +470,49 @@ def test_54_coefficients_may_be_fractions_or_intervals() -> None:
     ]
 
 
+def test_intervals_that_hold_0_are_no_powers_of_z() -> None:
+    """z^2 + 0.5 z + c with c from -3 to 3 has roots outside; the answers had said stable."""
+    sides: dict[str, Any] = {"first": [1, 0], "second": [1, 0], "sample_time": 1.0}
+    loop = jaxstab.Loop.from_coefficients(base=[1, 0.5, (-3.0, 3.0)], **sides)
+    assert loop.verdict(a=0.0, b=0.0) == Verdict.UNDECIDED
+    assert not loop.intervals(b=0.0).intervals
+    assert loop.spectral_radius(a=0.1, b=0.0).error == np.inf
+
+
+def test_intervals_say_no_more_than_their_corners_do() -> None:
+    """Quadratics z^2 + c z + d are stable for |d| < 1 and |c| < 1 + d, a condition on corners."""
+    rng, seen = np.random.default_rng(7), set()
+    for _ in range(200):
+        middle, width = rng.uniform(-1.2, 1.2, 2), rng.uniform(0.0, 1.0, 2)
+        low, high = (middle - width).tolist(), (middle + width).tolist()
+        loop = jaxstab.Loop.from_coefficients(
+            base=[1, *zip(low, high, strict=True)], first=[1, 0], second=[1], sample_time=1.0
+        )
+        corners = [(c, d) for c in (low[0], high[0]) for d in (low[1], high[1])]
+        are_stable = [abs(d) < 1.0 and abs(c) < 1.0 + d for c, d in corners]
+        code = loop.verdict(a=0.0, b=0.0)
+        seen.add(int(code))
+        assert (code == Verdict.STABLE) <= all(are_stable)
+        assert (code == Verdict.UNSTABLE) <= (not any(are_stable))
+    assert seen == {1, 2, 3}
+
+
+def test_whole_numbers_beyond_float64_are_exact() -> None:
+    """(2^53 + 1) z - 2^53 is stable, and float64 has a root at 1 in place of it."""
+    n = 2**53
+    for base in ([n + 1, -n], [np.int64(n + 1), -n]):
+        loop = jaxstab.Loop.from_coefficients(base=base, first=[n], second=[n], sample_time=1.0)
+        assert loop.verdict(a=0.0, b=0.0) == Verdict.STABLE
+    wide = jaxstab.Loop.from_coefficients(
+        base=[(n + 1, n + 2), -n], first=[n], second=[Fraction(1, 3)], sample_time=1.0
+    )
+    assert wide.verdict(a=0.0, b=0.0) == Verdict.STABLE
+    large = jaxstab.Loop.from_coefficients(
+        base=[2**80, -(2**81), 2**80], first=[2**80, 0], second=[2**80, -(2**80)], sample_time=1.0
+    )
+    assert large.limits().first.value == pytest.approx(4.0)
+
+
 def test_54_an_algebraic_loop_has_no_verdict() -> None:
     loop = jaxstab.Loop.from_coefficients(
         base=[1, 0], first=[1, 0.5], second=[0, 1], sample_time=1.0
@@ -552,6 +595,18 @@ REFUSALS = [
             base=[1, 1], first=[1], second=[1], sample_time=1.0, gains=("a", "a")
         ),
         "two different names",
+    ),
+    (
+        lambda: jaxstab.Loop.from_coefficients(
+            base=[1, -2, 1], first=[5e-324, 0], second=[1, -1], sample_time=1.0
+        ).limits(),
+        "another unit",
+    ),
+    (
+        lambda: jaxstab.Loop.from_coefficients(
+            base=[1, -2, 1], first=[Fraction(10) ** 400, 0], second=[1, -1], sample_time=1.0
+        ).limits(),
+        "another unit",
     ),
 ]
 

@@ -45,7 +45,7 @@ from jaxstab.model.device.parts import working_precision
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.model.parameters import checked_gain, wall_grid
 from jaxstab.motion.settling import SettlingTime, checked_level, settled_answer
-from jaxstab.numbers import checked_count, checked_number, require_together, two_ends
+from jaxstab.numbers import checked_count, checked_number, require_together
 from jaxstab.region.pieces import NO_BRANCH
 from jaxstab.region.region import region_of
 from jaxstab.region.stable_set import RegionStatus
@@ -211,6 +211,8 @@ class Loop(TwoGains):
         if not len(set(names)) == len(names) == 2 or not all(name.isidentifier() for name in names):
             raise ValueError(f'gains is {gains!r}; give two different names such as ("kp", "kd").')
         period = checked_number("sample_time", sample_time, 0.0, is_open=True, unit="s")
+        if np.shape(units) != (2,):
+            raise ValueError(f'units is {units!r}; give two, such as ("N/m", "N s/m").')
         named_gains = Gain(gains[0], units[0]), Gain(gains[1], units[1])
         return cls(GivenParts(*checked), named_gains, period, "given polynomials")
 
@@ -537,20 +539,35 @@ def _over_leading(gains: tuple[Gain, Gain], chart: Coordinates) -> tuple[Gain, G
 
 
 def _coefficient(name: str, value: Any) -> Coefficient:
-    if isinstance(value, Fraction):
-        return value
     if not isinstance(value, tuple):
-        return checked_number(name, value)
-    low, high = two_ends(name, value)
+        return _exact_number(name, value)
+    if len(value) != 2:
+        raise TypeError(f"{name} is {shortened(value)}; give its lowest and its highest value.")
+    low, high = (_exact_number(name, end) for end in value)
     if not low <= high:
         raise ValueError(f"{name} is {value}; give (lowest, highest).")
     return low, high
 
 
+def _exact_number(name: str, value: Any) -> float | Fraction:
+    """A number as it is: float64 does not hold every whole one."""
+    is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    return (
+        Fraction(value) if is_whole or isinstance(value, Fraction) else checked_number(name, value)
+    )
+
+
 def _units(chart: AffineParts) -> tuple[float, float]:
     """Units in which gains of a loop are of size 1: powers of two."""
+    least = 2.0**-900  # products of numbers in such units are float64 still
     with working_precision(128):
         _, *sides = affine_triple(chart).monic()
         sizes = [sum(abs(float(c.mid())) for c in side.polynomial().coeffs()) for side in sides]
+    for size in filter(None, sizes):
+        if not least < size < 1.0 / least:
+            raise ValueError(
+                f"the coefficients of a gain are of size {size:g} beside the first one of p(z), "
+                "which float64 does not hold together; give the gain in another unit."
+            )
     first, second = (2.0 ** -round(float(np.log2(size or 1.0))) for size in sizes)
     return first, second

@@ -20,7 +20,7 @@ common drift does not change e: it is divided out.
 
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 Rationals = tuple["fmpq_poly", "fmpq_poly", "fmpq_poly"]
 
-Coefficient = int | float | Fraction | tuple[float, float]
+Coefficient = int | float | Fraction | tuple[int | float | Fraction, int | float | Fraction]
 """An exact number, or the lowest and the highest of an interval."""
 
 
@@ -228,10 +228,10 @@ def _given(falling: tuple[Coefficient, ...]) -> Factored:
     if not any(isinstance(c, tuple) for c in rising):
         return Factored.from_rational(_rational(falling))
     balls = [
-        flint.arb(c[0]).union(flint.arb(c[1])) if isinstance(c, tuple) else flint.arb(exact(c))
+        reduce(flint.arb.union, map(flint.arb, map(exact, c if isinstance(c, tuple) else (c,))))
         for c in rising
     ]
-    power = next(k for k, ball in enumerate(balls) if ball != 0)
+    power = next(k for k, ball in enumerate(balls) if not ball.is_zero())  # "!= 0": surely not 0
     return Factored(flint.arb_poly(balls[power:]), power)
 
 
