@@ -1,5 +1,6 @@
 """The best gains of loops with estimators and filters, against certified roots and brute force."""
 
+import tracemalloc
 from typing import Any
 
 import flint
@@ -228,6 +229,20 @@ class TestTune:
         best, at_zero = loop.tune("radius"), loop.tune("radius", stiffness=0.0)
         assert best.radius <= at_zero.radius * (1.0 + 1e-8)
         assert best.stiffness == 0.0
+
+    def test_memory_does_not_grow_with_the_settling_time(self) -> None:
+        """4,225 walls, each seen for twice the settling time, would take 108 MB."""
+        loop = jaxstab.HapticLoop(
+            device_mass=1.0, device_damping=0.1, sample_time=1e-3, velocity=Velocity.low_pass(1.0)
+        )
+        tracemalloc.start()
+        try:
+            best = loop.tune(stiffness=60.0)
+            most = tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+        assert best.settling_time > 1.0
+        assert most < 100e6  # it was 149 MB
 
     @pytest.mark.parametrize("count", [4, pytest.param(many(1000, 40), marks=pytest.mark.campaign)])
     def test_51_18_other_searches_find_no_more_than_the_status_says(self, count: int) -> None:

@@ -153,7 +153,7 @@ def _fewest_samples(
                 tails[~loop.walls.holds(alpha, beta)] = np.inf
                 quiet = np.flatnonzero(tails[:, samples] <= level)
                 tails[quiet[~loop.walls.are_inside(alpha[quiet], beta[quiet], slowest)]] = np.inf
-                parts.append(value(tails))
+                parts.append(value(tails).copy())  # a view would keep all of the tails
             return np.concatenate(parts)
 
         return values
