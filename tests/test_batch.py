@@ -376,6 +376,17 @@ def test_few_loops_are_answered_one_by_one(rng: np.random.Generator) -> None:
     assert limits_of([]).stiffness.shape == (0,)
 
 
+def test_a_loop_of_no_loops_has_no_answers() -> None:
+    empty = np.zeros(0)
+    for fields in ({"device_mass": empty}, {"sample_time": empty}, {"delay": empty}):
+        loop = HapticLoop(
+            **{"device_mass": 0.1, "device_damping": 0.1, "sample_time": PERIOD} | fields
+        )
+        assert loop.verdict(1000.0, 10.0).shape == limits_of(loop).stiffness.shape == (0,)
+        more = [[0.0], [1.0]]
+        assert jaxstab.regions_of(loop, hand_stiffness=more).outline.shape == (2, 0, 295, 2)
+
+
 def test_fields_of_one_loop_broadcast() -> None:
     loop = HapticLoop(device_mass=0.1, device_damping=0.1, sample_time=PERIOD)
     delays, windows = np.array([[0.0], [PERIOD]]), [Velocity.difference(samples=n) for n in (1, 3)]

@@ -201,7 +201,13 @@ def test_verdicts_of_many_are_those_of_one_or_undecided(
 
 
 @pytest.mark.parametrize(
-    "fields", [{"sample_time": 1e-160, "delay": 0.0}, {"device_mass": [1.0, 1e305]}]
+    "fields",
+    [
+        {"sample_time": 1e-160, "delay": 0.0},
+        {"device_mass": [1.0, 1e305]},
+        {"device_mass": 1e-300},
+        {"device_mass": [5e-324, 1.0]},  # where K T^2/m overflowed with warnings
+    ],
 )
 def test_loops_whose_units_lose_digits_are_refused(fields: Any) -> None:
     with pytest.raises(ValueError, match=r"sample_time is .* give SI units"):

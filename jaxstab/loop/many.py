@@ -312,6 +312,8 @@ def _given(loops: Any, fields: dict[str, Any]) -> tuple[Any, dict[str, Any], tup
     """Return a list of loops, or one and the fields that vary, and the shape of the answers."""
     if isinstance(loops, LoopParameters):
         own = array_fields(loops)
+        if not prod(loops.shape):
+            return [], {}, require_together(**own, **fields)
         first = {name: namespace(x).ravel(x)[0] for name, x in own.items()}
         fields = own | fields
         return replace(loops, **first), fields, require_together(**fields)

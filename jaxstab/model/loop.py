@@ -95,7 +95,7 @@ class LoopParameters:
             whole = {int(samples)} if np.ndim(samples) == 0 else set(samples.astype(int).flat)
             if len(whole) == 1:
                 object.__setattr__(self, "_whole_delay", whole.pop())
-        self._refuse_tiny_units()
+        self._refuse_odd_units()
         given_filters(self.velocity, self.position)
         is_one = is_one or is_traced(self.sample_time)
         periods = [self.sample_time] if is_one else np.unique(self.sample_time).tolist()
@@ -139,16 +139,24 @@ class LoopParameters:
                     "held by device.held_by(jaxstab.Hand...): give one or the other."
                 )
 
-    def _refuse_tiny_units(self) -> None:
+    def _refuse_odd_units(self) -> None:
         """Refuse one mass whose gains lose digits in float64 when they are made dimensionless."""
         least = 2.0**-900  # that of ``gain_units``
         body = self.body
         if body is None or is_any_traced(body.mass, self.sample_time):
             return
         period, mass = self.sample_time, body.mass
+        pairs = [(period, mass)]
         if not (isinstance(period, float) and isinstance(mass, float)):  # one loop: no time lost
-            period, mass = float(np.min(period)), float(np.max(mass))
-        if min(period, period * period) / max(mass, 1.0) < least:
+            if not np.size(period) * np.size(mass):
+                return
+            ends = ((float(np.min(x)), float(np.max(x))) for x in (period, mass))
+            (shortest, longest), (lightest, heaviest) = ends
+            pairs = [(shortest, heaviest), (longest, lightest)]
+        for period, mass in pairs:
+            sizes = period, period * period
+            if min(sizes) / max(mass, 1.0) >= least and max(sizes) / min(mass, 1.0) <= 1.0 / least:
+                continue
             raise ValueError(
                 f"sample_time is {period:g} s for a mass of {mass:g} kg, which float64 does not "
                 "hold without dimensions; give SI units."
