@@ -96,10 +96,13 @@ def real_numbers(name: str, value: Any) -> np.ndarray[Any, np.dtype[Any]]:
 
 
 def require_unmasked(name: str, value: Any) -> None:
-    """Refuse a masked array, or a list of them: others compute with what is masked."""
-    entries = value if isinstance(value, list | tuple) else [value]
-    if any(isinstance(entry, np.ma.MaskedArray) for entry in entries):
+    """Refuse a masked array, also in lists: others compute with what is masked."""
+    if isinstance(value, np.ma.MaskedArray):
         raise TypeError(f"{name} is a masked array; give plain numbers.")
+    if isinstance(value, list | tuple):
+        for entry in value:
+            if type(entry) is not float:  # most entries
+                require_unmasked(name, entry)
 
 
 def require_kind(name: str, value: Any, kind: type, public: str = "") -> None:

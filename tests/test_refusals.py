@@ -391,6 +391,7 @@ def test_a_masked_array_is_refused_wherever_numbers_are_given() -> None:
         ("coefficients", lambda: jaxstab.radius([masked, masked])),
         ("coefficients", lambda: jaxstab.companion_matrix(masked)),
         ("alpha", lambda: jaxstab.verdict([masked, masked], 0.2, **plant)),
+        ("alpha", lambda: jaxstab.verdict([[[0.1, 0.2, 0.3], masked]], 0.2, **plant)),
         ("alpha", lambda: jaxstab.evaluate_grid(jaxstab.verdict, masked, 0.2, **plant)),
         ("delay", lambda: jaxstab.limits_of(loop, delay=abs(masked))),
         ("response", lambda: jaxstab.Device.from_response(frequency, response)),
