@@ -479,6 +479,18 @@ def test_intervals_that_hold_0_are_no_powers_of_z() -> None:
     assert loop.spectral_radius(a=0.1, b=0.0).error == np.inf
 
 
+def test_margins_of_an_interval_that_is_not_proved_are_the_place_itself() -> None:
+    """z + c + a d + b with c to 0.1 and d to 0.5: |b| < 0.75 at a = 0.3; the ends of a are wide."""
+    loop = jaxstab.Loop.from_coefficients(
+        base=[1, (-0.1, 0.1)], first=[(-0.5, 0.5)], second=[1], sample_time=1.0
+    )
+    margins = loop.margins(a=0.3, b=0.1)
+    assert margins.second == pytest.approx([-0.75, 0.75], abs=1e-6)
+    assert np.all(np.abs(margins.second) <= 0.75)
+    assert margins.first.tolist() == [0.3, 0.3]  # they had been swapped
+    assert margins.first_factors.tolist() == margins.both_factors.tolist() == [1.0, 1.0]
+
+
 def test_intervals_say_no_more_than_their_corners_do() -> None:
     """Quadratics z^2 + c z + d are stable for |d| < 1 and |c| < 1 + d, a condition on corners."""
     rng, seen = np.random.default_rng(7), set()

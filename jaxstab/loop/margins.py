@@ -18,7 +18,6 @@ from jaxstab.arrays import Array, Numbers, are_numbers, float_arrays, is_jax, na
 from jaxstab.batches import asked_of_lanes
 from jaxstab.conventions import Verdict
 from jaxstab.exact import DelayMargin, TripleAt, delay_margin, stable_line, wall_verdict
-from jaxstab.exact.line import End
 from jaxstab.model import checked_delta, checked_gain, checked_gamma
 from jaxstab.model.balls import ball_loop, ball_triple
 from jaxstab.model.device.device import in_steps
@@ -86,7 +85,10 @@ def _ends(
 ) -> Iterator[Crossing]:
     """The ends of the interval of a line that holds a place, less their errors; or the place."""
     line = stable_line(triple, start, along)
-    interval = line.holding(here) or (End(here, 0.0, nan),) * 2
+    interval = line.holding(here)
+    if interval is None:  # that place alone
+        yield from [Crossing(here, nan)] * 2
+        return
     for end, inwards in zip(interval, (1.0, -1.0), strict=True):
         value = end.value + inwards * end.error
         if not isfinite(value):
