@@ -6,7 +6,7 @@ inside is the recursion of Schur and Cohn in numbers of 120 digits. Nothing of i
 """
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
@@ -139,9 +139,9 @@ def _pid(rng: Rng, given: str) -> Case:
     return _of(jaxstab.pid(held, **options, rule=rule), matrix, is_affine=True)  # type: ignore[arg-type]
 
 
-def _coupled(
-    bodies: list[list[float] | None],
-    delays: list[float],
+def coupled(
+    bodies: Sequence[Sequence[float] | None],
+    delays: Sequence[float],
     period: float,
     window: int,
     *gains: float,
@@ -170,7 +170,7 @@ def wall(rng: Rng) -> Case:
         delay=delay,
         velocity=velocity,
     )
-    matrix = partial(_coupled, [body, None], [held.delay_samples, 0.0], period, window)
+    matrix = partial(coupled, [body, None], [held.delay_samples, 0.0], period, window)
     scale = held.stiffness(1.0) / (held.delay_samples + window) ** 2, held.damping(1.0)
 
     def intervals(**gain: float) -> Any:
@@ -189,7 +189,7 @@ def _coupling(rng: Rng, bodies: list[list[float]], longest: int) -> Case:
     loop = jaxstab.coupling(
         devices[0], devices[1], sample_time=period, delays_samples=delays, velocity=velocity
     )
-    matrix = partial(_coupled, list(bodies), delays, period, window)
+    matrix = partial(coupled, list(bodies), delays, period, window)
     return _of(loop, matrix, is_affine=True)
 
 

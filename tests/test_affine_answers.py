@@ -4,10 +4,11 @@ The recursions of ``affine_kinds`` share nothing with p(z): their matrices give 
 and growth.
 """
 
+import mpmath
 import numpy as np
 import pytest
 import recursions
-from affine_kinds import KINDS, Case, is_stable_exactly, judged, judged_regions
+from affine_kinds import KINDS, Case, coupled, is_stable_exactly, judged, judged_regions
 from campaign import many
 from scipy.signal import lfilter
 
@@ -381,18 +382,25 @@ def test_the_least_gains_beside_a_stiff_virtual_spring_are_those_of_recursions(
         assert np.all(stable >= [first.value, second.value])
 
 
-def test_54_equal_undamped_devices_are_unresolved_and_no_error() -> None:
+def test_54_undamped_devices_that_differ_by_rounding_have_a_region_of_that_size() -> None:
+    """Of k/m = 100 but for the last digit: what moves them both is damped by 5e-15 N/m."""
     bodies = [
-        jaxstab.Device.mass_spring_damper(mass=0.11523382810001558, stiffness=11.523382810001557),
-        jaxstab.Device.mass_spring_damper(mass=8.975307160618526, stiffness=897.5307160618526),
+        (0.11523382810001558, 0.0, 11.523382810001557),
+        (8.975307160618526, 0.0, 897.5307160618526),
     ]
+    period, delays, window = 0.0024367275909945875, (8.5, 7.0), 3
     loop = jaxstab.coupling(
-        *bodies,
-        sample_time=0.0024367275909945875,
-        delays_samples=(8.5, 7.0),
-        velocity=jaxstab.Velocity.difference(samples=3),
+        *(jaxstab.Device.mass_spring_damper(m, damping=b, stiffness=k) for m, b, k in bodies),
+        sample_time=period,
+        delays_samples=delays,
+        velocity=jaxstab.Velocity.difference(samples=window),
     )
-    assert loop.region().status.name in ("UNRESOLVED", "EMPTY")
+    region = loop.region()
+    for gains, is_stable in (((4e-15, 5e-16), True), ((5.2e-15, 6.1e-16), False)):
+        with mpmath.workdps(120):
+            matrix = coupled(bodies, delays, period, window, *gains, exact=True)
+            assert is_stable_exactly(matrix) is is_stable
+        assert bool(region.contains(stiffness=gains[0], damping=gains[1])) is is_stable
 
 
 def test_54_walls_and_other_loops_are_asked_apart() -> None:

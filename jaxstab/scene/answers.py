@@ -217,15 +217,6 @@ class Answer:
     their names. An answer with a field ``inputs`` has its units, and so have the answers in it.
     """
 
-    is_stable: Any = True
-    """False for gains that are not stable, or not proved to be, where that is asked."""
-
-    @property
-    def all_stable(self) -> bool:
-        """True if the gains in it, and in all answers in it, are stable."""
-        inner = (value for _, value in self._entries() if isinstance(value, Answer))
-        return self.is_stable and all(answer.all_stable for answer in inner)
-
     def as_json(self, units: Units = Units.LINE) -> dict[str, Any]:
         """Names and values as JSON has them (NaN, infinity: None), with units beside the inputs."""
         units = self._units(units)
@@ -241,13 +232,6 @@ class Answer:
             if name == "inputs":
                 table["units"] = self._units_of_keys(units)
         return table
-
-    def facts(self) -> dict[str, str]:
-        """The texts of an answer by name; of inputs those that are easily overlooked."""
-        found = dict[str, str]()
-        for (name, *_), value in self._entries():
-            found |= value.facts() if isinstance(value, Answer) else {name: value}
-        return found
 
     def lines(self, indent: str = "", units: Units = Units.LINE) -> list[str]:
         """Return a line for each value, its name in front."""
@@ -333,6 +317,19 @@ class GainAnswer(Answer):
         if name == "values" or name not in self.values:
             raise AttributeError(f"the answer has no {name}")
         return self.values[name]
+
+    @property
+    def all_stable(self) -> bool:
+        """True if the gains in it, and in all answers in it, are stable, or nothing is asked."""
+        inner = (value for _, value in self._entries() if isinstance(value, GainAnswer))
+        return self.is_stable and all(answer.all_stable for answer in inner)
+
+    def facts(self) -> dict[str, str]:
+        """The texts of an answer by name; of inputs those that are easily overlooked."""
+        found = dict[str, str]()
+        for (name, *_), value in self._entries():
+            found |= value.facts() if isinstance(value, GainAnswer) else {name: value}
+        return found
 
     def _values(self) -> Mapping[str, Any]:
         return self.values
