@@ -47,7 +47,8 @@ if TYPE_CHECKING:
 
 Rationals = tuple["fmpq_poly", "fmpq_poly", "fmpq_poly"]
 
-Coefficient = int | float | Fraction | tuple[int | float | Fraction, int | float | Fraction]
+Exact = int | float | Fraction | np.integer[Any]
+Coefficient = Exact | tuple[Exact, Exact]
 """An exact number, or the lowest and the highest of an interval."""
 
 
