@@ -161,7 +161,7 @@ class GainRegion(ShownRegion):
             return [self] * self.region.loops
         return [type(self)(self.loop, component) for component in self.region.components]
 
-    @cached_property
+    @property
     def main(self: Part) -> Part | None:
         """The gains that are reached from small ones; None where small gains are not stable."""
         return next((each for each in self.components[:1] if each.region.main is not None), None)
