@@ -47,7 +47,7 @@ _FORMED = 2048  # loops of one mass that are formed at once
 _SCANS = 3  # of a loop, at most
 _DEGREES = (5, 9, 17, 25, 41, 65)  # up to which p(z) are filled: each program takes memory
 _FEWEST = dict(zip(_DEGREES, (400, 400, 400, 400, 200, 100), strict=True))
-"""Loops of a degree that take about half as long one by one as to compile a program."""
+"""Loops of a degree for which a program is compiled, which takes longer, or is in the cache."""
 
 
 Indices = Int64[np.ndarray, " _"]

@@ -123,8 +123,7 @@ def printed_extremes(region: Any, digits: int = _DIGITS) -> tuple[Any, Any]:
     aside = 1e-6 * max(abs(alpha), abs(at_alpha))
 
     def is_stable(stiffness: float, damping: float) -> bool:
-        stable: bool = region._is_stable(stiffness or aside, damping)
-        return stable  # an axis may be the edge: a limit
+        return bool(region._is_stable(stiffness or aside, damping))  # an axis may be the edge
 
     both = digits, digits
     rows, columns = (partial(region._intervals_at, axis=axis) for axis in (1, 0))
