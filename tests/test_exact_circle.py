@@ -176,25 +176,60 @@ def test_what_powers_do_not_tell_apart_is_left_to_the_search() -> None:
     assert place.angle.contains(1)
 
 
-def test_intervals_are_called_without_zeros_or_monotone_only_if_they_are() -> None:
-    """Polynomials of a cell, on intervals with a root of f or of f' inside, or just outside."""
+def test_a_derivative_is_called_without_zeros_only_if_it_is() -> None:
+    """Polynomials of a cell, on intervals with a root of f, f', ... inside, or just outside."""
     rng = np.random.default_rng(11)
-    said = np.zeros(4, int)
-    for _ in range(3000):
-        rising = rng.normal(size=int(rng.integers(3, 7))) * 10.0 ** rng.uniform(-1.0, 2.0, 1)
-        part = _Part.of(flint.arb_poly(rising.tolist()), flint.arb(0))
+    said = np.zeros(6, int)
+    for _ in range(2000):
+        rising = rng.normal(size=int(rng.integers(6, 9))) * 10.0 ** rng.uniform(-1.0, 2.0, 1)
+        part = _Part(flint.arb_poly(rising.tolist()), flint.arb(0), 0)
         centre = float(rng.uniform(-0.9, 0.9))
-        f, slope = np.polynomial.Polynomial(rising), np.polynomial.Polynomial(rising).deriv()
-        roots = [p.roots() for p in (f, slope)]
+        f = np.polynomial.Polynomial(rising)
+        roots = [f.deriv(order).roots() for order in range(5)]
         gaps = [np.abs(r.real - centre)[np.abs(r.imag) < 1e-9] for r in roots]
         nearest = [float(np.min(own, initial=np.inf)) for own in gaps]
         half = min(float(rng.choice(nearest)), 1.0) * float(rng.uniform(0.3, 1.05))
-        answers = part.on(flint.arb(centre), flint.arb(half))
-        for k, gap in enumerate(nearest):
-            is_without = bool(answers[k])
-            said[2 * k + is_without] += 1
-            assert not (is_without and gap < half * (1.0 - 1e-9))
-    assert np.all(said > 300)
+        order = part.on(flint.arb(centre), flint.arb(half))
+        said[order] += 1
+        assert order == 5 or nearest[order] > half * (1.0 - 1e-9)
+    assert np.all(said > 30)
+
+
+@pytest.mark.parametrize("half", [0.5, 1.0])
+def test_what_a_polynomial_misses_may_hide_a_zero_of_a_derivative(half: float) -> None:
+    """Of f = t^k/10 + h(t), h of powers from 10 on, the k-th derivative of h may be 10^k |h|."""
+    for order in range(3):
+        p = flint.arb_poly([0] * order + [0.1])
+        said = [
+            _Part(p, flint.arb(0, share / 10**order), 10).on(flint.arb(0), flint.arb(half))
+            for share in (0.099, 0.101)
+        ]
+        assert said[0] == order != said[1]
+
+
+@pytest.mark.parametrize("order", [2, 3, 4])
+@pytest.mark.parametrize("gap", [0.0, 1e-9, 1e-14])
+def test_zeros_that_coincide_are_found_without_halving(order: int, gap: float) -> None:
+    """Two more stand beside them; 1,024 bits part those that do not quite coincide."""
+    with flint.ctx.workprec(1024):
+        angles = [1 + flint.arb(gap) * k for k in range(order)]
+        sums = chosen([0.4, *angles, 2.0], [0.3 + 1.0j] * 4)()
+        assert bool(_by_cells(sums, is_last_try=False)) == bool(gap)
+        found = _by_cells(sums, is_last_try=True)
+    assert found is not None
+    assert all(any(zero.angle.overlaps(flint.arb(t)) for zero in found) for t in (0.4, 2.0))
+    between = found[1:-1]
+    if gap:
+        assert len(between) == order
+        assert all(zero.angle.overlaps(t) for zero, t in zip(between, angles, strict=True))
+        assert [zero.slope * found[0].slope for zero in found] == [
+            (-1) ** k for k in range(order + 2)
+        ]
+    else:
+        (place,) = between
+        assert place.slope == 0
+        assert place.angle.contains(1)
+        assert place.angle.rad() < 1e-30
 
 
 @pytest.mark.parametrize("degree", [3, 20, 61])

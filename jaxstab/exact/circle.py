@@ -21,24 +21,27 @@ k-th term is multiplied by a root of unity that is known exactly, not by a power
 
 Within the cell, on an interval of half-width r around m, with P(m + r t) = q_0 + q_1 t + ...,
 
-    no zero if     |q_0| > |q_1| + |q_2| + |q_3| + ... + E,
-    at most one if |q_1| > 2 |q_2| + 3 |q_3| + ... + r E',    E' the same bound for f' - P',
+    f has no zero if  |q_0| > |q_1| + |q_2| + |q_3| + ... + E,
+    f' has none if    |q_1| > 2 |q_2| + 3 |q_3| + ... + r E',    E' the same bound for f' - P',
+    f'' has none if   |q_2| > 3 |q_3| + 6 |q_4| + ... + r^2 E''/2, and so on.
 
-else it is halved.
-
-A monotone interval with unlike signs at its ends has one zero. Newton's iteration finds it in
-numbers, then one step of it in balls proves it: where T is a ball around x and
+A derivative is monotone where the next has no zero: with like signs at both ends it has none
+either. Where that ends with f, monotone between unlike signs, there is one zero. Newton's iteration
+finds it in numbers, then one step of it in balls proves it: where T is a ball around x and
 
     N = x - f(x)/f'(T)    lies inside T,
 
-f has one zero in T, and it is in N (mean value theorem). The ends of cells are places where a sign
-is known: an end that falls on a zero is moved, for both of its cells.
+f has one zero in T, and it is in N (mean value theorem). Where it ends with a higher derivative,
+the interval is parted on both sides of that one's zero, next to it: zeros of f that coincide, or
+nearly, are there. Any other interval is halved. The ends of cells are places where a sign is known:
+an end that falls on a zero is moved, for both of its cells.
 
 Zeros of a higher order, and zeros so close to each other that balls do not part them, leave an
-interval that is too short to be halved. It is reported as one place, without a direction, if that
+interval that is too short to be parted. It is reported as one place, without a direction, if that
 is asked for; else the answer is that more bits are needed.
 """
 
+import math
 from itertools import cycle, pairwise
 from typing import NamedTuple
 
@@ -49,6 +52,7 @@ from jaxstab.exact.roots import real_roots, sign_of
 from jaxstab.model.device.parts import remembered, tiny
 
 _OVERLAP = 9  # a cell reaches to 9/8 of its share: the ends of shares may be moved by 1/8
+_MOST_DERIVATIVES = 5  # zeros of one order less are found at once
 
 
 class Zero(NamedTuple):
@@ -225,32 +229,34 @@ class _Cells:
             taylor = [term for pair in zip(*sides, strict=True) for term in pair]
             signs = cycle((1, -1, -1, 1))  # cos, -sin, -cos, sin
             p = arb_poly([s * term for s, term in zip(signs, taylor, strict=False)])
-            parts[cell] = _Part.of(p, arb(0, missed))
+            parts[cell] = _Part(p, arb(0, missed), len(taylor))
         return parts
 
 
 class _Part(NamedTuple):
-    """A cosine sum on a cell, t from -1 to 1: P and P', and what is ``missed`` by both."""
+    """A cosine sum f on a cell, t from -1 to 1: a polynomial P of so many terms, and |f - P|."""
 
     value: "arb_poly"
-    slope: "arb_poly"
     missed: "arb"
-    slope_missed: "arb"
+    terms: int
 
-    @classmethod
-    def of(cls, p: "arb_poly", missed: "arb") -> "_Part":
-        """The part of a polynomial."""
-        return cls(p, p.derivative(), missed, missed * p.length())
+    def derivative(self, times: int = 1) -> "_Part":
+        """f', or a higher derivative."""
+        value, missed = self.value, self.missed
+        for _ in range(times):
+            value, missed = value.derivative(), missed * self.terms
+        return _Part(value, missed, self.terms)
 
-    def on(self, centre: "arb", half: "arb") -> tuple[bool, bool]:
-        """True for no zero, and for at most one, so far around a centre, by Taylor's terms."""
-        f, slope, *others = self.value(arb_poly([centre, half])).coeffs()
-        sizes = [abs(c) for c in others]
-        bend = sum((k * size for k, size in enumerate(sizes, start=2)), arb(0))
-        return (
-            abs(f + self.missed) > sum(sizes, abs(slope)),
-            abs(slope + half * self.slope_missed) > bend,
-        )
+    def on(self, centre: "arb", half: "arb") -> int:
+        """The order of the first derivative that surely has no zero around a centre, at most 5."""
+        sizes = [abs(c) for c in self.value(arb_poly([centre, half])).coeffs()]
+        missed = self.missed
+        for order, size in enumerate(sizes[:_MOST_DERIVATIVES]):
+            others = (math.comb(k, order) * sizes[k] for k in range(order + 1, len(sizes)))
+            if size > sum(others, missed):
+                return order
+            missed *= self.terms * half
+        return _MOST_DERIVATIVES
 
     def sign(self, t: "arb") -> int:
         """The sign at a place, 0 if it is not known."""
@@ -286,44 +292,58 @@ def _sign_on_cell(cells: _Cells, cell: int) -> int:
 def _isolated(part: _Part, first: "tuple[arb, int]", last: "tuple[arb, int]") -> list[Zero] | None:
     """The zeros of a part between two places with their signs, from left to right, in t."""
     found: list[Zero] = []
-    shortest = tiny(3)
     intervals = [(first, last)]
     while intervals:
         (a, sign_a), (b, sign_b) = intervals.pop()
         whole = a.union(b)
-        is_without, is_monotone = part.on(whole.mid(), whole.rad())
-        if is_without:
+        order, turns = part.on(whole.mid(), whole.rad()), 1
+        shortest = tiny(2 * max(order, 2))
+        while 1 < order < _MOST_DERIVATIVES:
+            bend = part.derivative(order - 1)
+            turns = bend.sign(a) * bend.sign(b)
+            if turns != 1:
+                break
+            order -= 1  # monotone, without a change of sign
+        is_monotone = order == 1 and sign_a and sign_b
+        if order == 0 or (is_monotone and sign_a == sign_b):
             continue
-        if sign_a and sign_b and is_monotone:
-            if sign_a != sign_b:
-                zero = _refined(part, a, b, sign_b)
-                if zero is None:
-                    return None
-                found.append(zero)
+        zero = _refined(part, a, b, sign_b) if is_monotone else None
+        if zero:
+            found.append(zero)
         elif whole.rad() < shortest:
             found.append(Zero(whole, 0))
         else:
-            place = _known_place(part, a, b)
-            if not place[1]:
+            places = _around_zero(bend, a, b, shortest / 2) if turns == -1 else []
+            places = places or [_known_place(part, a, b)]
+            ends = [(a, sign_a), *((place, part.sign(place)) for place in places), (b, sign_b)]
+            if not all(sign for _, sign in ends[1:-1]):
                 return None  # the balls tell nothing about all of the interval
-            intervals += [(place, (b, sign_b)), ((a, sign_a), place)]
+            intervals += reversed(list(pairwise(ends)))
     return found
 
 
-def _known_place(part: _Part, a: "arb", b: "arb") -> "tuple[arb, int]":
-    """A place about the middle of an interval, and the sign there, if one can be known."""
+def _around_zero(part: _Part, a: "arb", b: "arb", distance: "arb") -> "list[arb]":
+    """Two places at a distance from the one zero of a monotone part, those in the interval."""
+    zero = _refined(part, a, b, part.sign(b))
+    if zero is None:
+        return []
+    places = [(zero.angle + side * distance).mid() for side in (-1, 1)]
+    return [place for place in places if a < place < b]
+
+
+def _known_place(part: _Part, a: "arb", b: "arb") -> "arb":
+    """A place about the middle of an interval, where the sign is known if it is anywhere."""
     for share in range(6, 11):  # 16ths of an interval, where it is divided
         place = (a + (b - a) * share / 16).mid()
-        sign = part.sign(place)
-        if sign:
+        if part.sign(place):
             break
-    return place, sign
+    return place
 
 
 def _refined(part: _Part, a: "arb", b: "arb", sign_b: int) -> Zero | None:
     """The zero of a monotone part with unlike signs at its ends."""
     refinements = 80
-    low, high = a.mid(), b.mid()
+    low, high, slope = a.mid(), b.mid(), part.derivative()
     x, smallest = low, tiny(1)
     for _ in range(refinements):
         f = part.value(x)
@@ -332,16 +352,16 @@ def _refined(part: _Part, a: "arb", b: "arb", sign_b: int) -> Zero | None:
             high = x
         elif sign:
             low = x
-        new = (x - f / part.slope(x)).mid()
+        new = (x - f / slope.value(x)).mid()
         if not low <= new <= high:
             new = ((low + high) / 2).mid()
         step, x = abs(new - x).mid(), new
         if not sign or step <= smallest:
             break
     f = part.value(x) + part.missed
-    radius = max(4 * (f / part.slope(x)).abs_upper(), smallest)
+    radius = max(4 * (f / slope.value(x)).abs_upper(), smallest)
     around = arb(x, radius)
-    place = x - f / (part.slope(around) + part.slope_missed)
+    place = x - f / (slope.value(around) + slope.missed)
     return Zero(place, sign_b) if around.contains(place) else None
 
 
