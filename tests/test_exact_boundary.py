@@ -96,7 +96,7 @@ def test_a_long_filter_has_the_digits_of_float64_about_one() -> None:
 
 
 def test_digits_are_those_of_every_coefficient_beside_the_largest() -> None:
-    wide, narrow, nothing = flint.arb(1, 1e-18), flint.arb(1, 1e-25), flint.arb(0, 1e-20)
+    wide, narrow, nothing = flint.arb(1, 1e-48), flint.arb(1, 1e-55), flint.arb(0, 1e-50)
     for rising, expected in (
         ([narrow, narrow], True),
         ([wide, narrow], False),

@@ -112,17 +112,12 @@ def curve_parts(loop: ScaledLoop) -> CurveParts:
 
 
 def _enough_bits(loop: ScaledLoop) -> AbstractContextManager[None]:
-    """Set a precision for coefficients in powers of z - 1: so many of them are sums that cancel."""
-    bits = _bits_for_digits(loop)
-    with working_precision(bits):
-        degree = loop.triple().degree
-    return working_precision(bits + 2 * degree)
+    """Set a precision at which all coefficients have the digits of float64, and some more."""
+    return working_precision(_bits_for_digits(loop))
 
 
 @lru_cache
 def _bits_for_digits(loop: ScaledLoop) -> int:
-    """The precision at which the loop's polynomials have the digits of float64, and some more."""
-
     def bits() -> int | None:
         return ctx.prec if all(map(_has_digits, (*loop.triple(), *_factors(loop)))) else None
 
@@ -130,9 +125,10 @@ def _bits_for_digits(loop: ScaledLoop) -> int:
 
 
 def _has_digits(part: Factored) -> bool:
-    digits = 1e-21  # of the largest coefficient
+    """Coefficients in powers of z - 1 are sums that cancel by their number and by slow filters."""
+    digits = 1e-51  # of the largest coefficient: 21 of them, and what ``curve_of`` refuses
     rising = part.rest.coeffs()
-    enough = max(c.abs_upper() for c in rising) * digits if rising else 0
+    enough = max(c.abs_upper() for c in rising) * digits * arb(2) ** -len(rising) if rising else 0
     return all(c.rad() <= enough for c in rising)
 
 
@@ -334,6 +330,9 @@ def _without(part: Factored, divisor: Factored) -> Factored:
 @lru_cache
 def _poles(loop: ScaledLoop) -> "list[arb]":
     """The angles where V is real; none where the balls do not tell them."""
+    with working_precision(FIRST_BITS):
+        if real_quotient_angles(*loop.balls().walls) == []:
+            return []
     with working_precision(_LAST_BITS):
         return real_quotient_angles(*loop.balls().walls) or []
 
