@@ -456,6 +456,11 @@ def test_a_residual_that_is_not_white_is_a_sentence(colour: float) -> None:
 # A closed servo, stepped by scipy from sample to sample.
 
 
+def rounded(values: Any, step: float) -> Any:
+    """Readings of an encoder."""
+    return step * np.rint(values / step)
+
+
 def servo(
     inertia: float = 0.01,
     damping: float = 0.05,
@@ -465,8 +470,9 @@ def servo(
     kd: float = 0.6,
     period: float = 2e-3,
     rows: int = 150,
+    resolution: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Set points, which step by 0.1 after 30 rows, and positions; the delay is in samples."""
+    """Set points, which step by 0.1 after 30 rows, and readings; the delay is in samples."""
     rate = np.array([[0.0, 1.0, 0.0], [0.0, -damping / inertia, 1.0 / inertia], [0.0, 0.0, 0.0]])
     whole = int(delay)
     parts = [
@@ -475,7 +481,7 @@ def servo(
     goals, places, forces = np.repeat([0.2, 0.3], [30, rows]), [0.2] * (window + 1), [0.0] * 40
     state = np.array([0.2, 0.0, 0.0])
     for goal in goals:
-        places.append(state[0])
+        places.append(rounded(state[0], resolution) if resolution else state[0])
         speed = (places[-1] - places[-1 - window]) / (window * period)
         forces.append(kp * (goal - places[-1]) - kd * speed)
         for part, force in zip(parts, (forces[-2 - whole], forces[-1 - whole]), strict=True):
@@ -499,19 +505,28 @@ def test_a_servo_is_found_to_rounding(changed: dict[str, float]) -> None:
     assert (found.friction.high, found.velocity) == (0.0, velocity)
 
 
-def test_intervals_of_a_servo_contain_the_truth() -> None:
-    setpoint, position = servo()
-    rng, hits = np.random.default_rng(3), np.zeros(3)
-    logs = many(100, 10)
+@pytest.mark.parametrize("kd", [0.6, 2.2])  # of at most 3.3: an encoder's errors are magnified
+@pytest.mark.parametrize("kind", ["noise", "an encoder in the log", "an encoder in the servo"])
+def test_intervals_of_a_servo_contain_the_truth(kind: str, kd: float) -> None:
+    rng, hits, size = np.random.default_rng(3), np.zeros(3), 3e-4
+    logs, warnings = many(100, 10), 0
     for _ in range(logs):
+        inertia = float(rng.uniform(0.009, 0.011))
+        step = size if kind == "an encoder in the servo" else 0.0
+        setpoint, position = servo(inertia, kd=kd, resolution=step)
+        if kind == "noise":
+            position += rng.normal(0.0, size, len(position))
+        elif not step:
+            position = rounded(position, size)
         found = jaxstab.identify_servo(
-            setpoint=setpoint, position=position + rng.normal(0.0, 1e-4, len(position)),
-            kp=20.0, kd=0.6, sample_time=2e-3,
-        )  # fmt: skip
-        own = (found.mass, 0.01), (found.damping, 0.05), (found.delay, 3e-3)
+            setpoint=setpoint, position=position, kp=20.0, kd=kd, sample_time=2e-3
+        )
+        own = (found.mass, inertia), (found.damping, 0.05), (found.delay, 3e-3)
         hits += [low <= truth <= high for (_, low, high), truth in own]
-        assert found.mass.value == pytest.approx(0.01, rel=0.02)
+        warnings += bool(found.warning)
+        assert found.mass.value == pytest.approx(inertia, rel=0.05)
     assert np.all(hits >= 0.7 * logs)
+    assert warnings <= 0.02 * logs
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,10 @@ tells: that of rounding, or more.
 
 Of a servo with known gains a step of the set point is enough: y = x less the set point is the free
 motion of a wall (kp, kd) from -step, which ``HapticLoop.simulate`` has. Mass, damping and delay
-follow by least squares from the best of some tries, intervals from the Jacobian.
+follow by least squares from the best of some tries. A reading that lasts for n samples has one
+rounding error, not n: its rows weigh 1/n each. Where the servo acts upon the readings, an error of
+one sample moves later ones by the response of S = p_0/p, the polynomials without and with gains.
+Intervals are those of errors of the log alone, or those of the servo's, where these are larger.
 """
 
 import warnings
@@ -54,6 +57,7 @@ from scipy.special import chdtrc, stdtrit
 from jaxstab.arrays import Numbers
 from jaxstab.loop import HapticLoop
 from jaxstab.model import Velocity
+from jaxstab.model.linear_loop import loop_polynomial
 from jaxstab.motion.contact import Flow, Plant, Runs, Seen, series, series_at
 from jaxstab.numbers import checked, checked_number
 from jaxstab.scene.answers import Quantity
@@ -62,6 +66,7 @@ from jaxstab.shown import printable, rounded_text
 from jaxstab.tables import columns_of
 
 Rows = Float64[np.ndarray, " row"]
+Values = Float64[np.ndarray, " value"]
 Segments = Float64[np.ndarray, "segment sample"]
 Pushes = Float64[np.ndarray, "segment push"]  # from HISTORY before a segment to AHEAD behind it
 Unknowns = Float64[np.ndarray, "segment unknown"]  # initial position and velocity, and the values
@@ -231,7 +236,8 @@ def identify(
             f"to {mass.high:.3g}; {_EXCITE}."
         )
     told = _estimator(positions, columns.get("velocity"), period), doubt
-    return _identified([mass, *others], period, resolution, extent, *told, measured, fitted)
+    noise = _explained(resolution, extent)
+    return _identified([mass, *others], period, resolution, noise, *told, measured, fitted)
 
 
 def identify_servo(
@@ -280,53 +286,83 @@ def identify_servo(
     measured, still, step = _stepped(setpoint, position)
     count, rest = len(measured) - still, float(measured[:still].mean())
 
-    def moved(values: Any) -> Rows:
-        mass, damping, late, rest = values
-        loop = HapticLoop(
+    def servo(values: Any) -> HapticLoop:
+        mass, damping, late, _ = values
+        return HapticLoop(
             device_mass=mass, device_damping=damping, sample_time=period, delay=late * period,
             velocity=velocity,
         )  # fmt: skip
+
+    def moved(values: Any) -> Rows:
+        loop = servo(values)
         with np.errstate(all="ignore"):  # a try may grow beyond all numbers
             path = 1.0 + loop.simulate(*gains, samples=count, initial_position=-1.0).position
         path = np.clip(np.nan_to_num(path, nan=1e3), -1e3, 1e3)
-        return rest + step * np.append(np.zeros(still), path)
+        return values[-1] + step * np.append(np.zeros(still), path)
 
     rise = (measured[still:] - rest) / step
     risen, latest = (int(np.argmax(rise > share)) for share in (0.5, 0.05))
     risen = risen or count
     heaviest = gains[0] * (risen * period) ** 2
-    masses, delays = heaviest * np.geomspace(0.01, 3.0, 10), latest * np.linspace(0.1, 0.7, 4)
-    tries = [(m, 0.0, d, rest) for m in masses for d in delays]
+    delays = latest * np.linspace(0.1, 0.7, 4)
+    tries = [(m, 0.0, d, rest) for m in heaviest * np.geomspace(0.01, 3.0, 10) for d in delays]
     start = np.array(min(tries, key=lambda x: float(np.sum((moved(x) - measured) ** 2))))
     sizes = np.array([heaviest, heaviest / (risen * period), 1.0, step])
     bounds = [0.01 / risen, 0.0, 0.0, -np.inf], [10.0, 10.0, HISTORY, np.inf]
+    lasting = np.diff(np.flatnonzero(np.diff(measured, prepend=nan, append=nan)))
+    weights = np.repeat(1.0 / np.sqrt(lasting), lasting)
     found = least_squares(
-        lambda x: (moved(x * sizes) - measured) / step,
+        lambda x: weights * (moved(x * sizes) - measured) / step,
         start / sizes,
         bounds=bounds,
         xtol=1e-10,
         ftol=1e-12,
         gtol=None,
     )
-    fitted, resolution = measured + step * found.fun, _resolution(measured)
-    size = _rms(fitted - measured)
-    if not size < 0.1 * abs(step):
+    errors, resolution = found.fun / weights, _resolution(measured)
+    fitted = measured + step * errors
+    if not _rms(errors) < 0.1:
         raise ValueError(
-            f"a mass behind a delay does not fit this step: the residual is {size:g} rms of a step "
-            f"of {abs(step):g}; give the servo's own gains, and set point and position in one row."
+            "a mass behind a delay does not fit this step: the residual is "
+            f"{_rms(fitted - measured):g} rms of a step of {abs(step):g}; give the servo's own "
+            "gains, and set point and position in one row."
         )
-    if not _is_determined(found, *bounds):
+    if len(lasting) <= len(sizes) or not _is_determined(found, *bounds):
         raise ValueError(
             f"position moves by {np.ptp(measured):g} after a step of {abs(step):g}, and does not "
             "determine inertia, damping and delay; give the rows until the servo rests again."
         )
-    free = len(measured) - len(sizes)
-    spread = np.sqrt(np.diag(np.linalg.pinv(found.jac.T @ found.jac)) * 2.0 * found.cost / free)
-    values, half = found.x * sizes, stdtrit(free, 0.975) * spread * abs(sizes)
+    response = _of_one_error(servo(found.x * sizes), gains, len(measured))
+    half = _half_widths(found, weights, len(lasting), response) * abs(sizes)
+    values = found.x * sizes
     mass, damping, late, _ = map(Estimate, values, values - half, values + half)
-    every = [mass, damping, _NONE, _NONE, late.times(period, 0.0)]
-    told, paths = ((velocity, nan), ""), (measured[None], fitted[None])
-    return _identified(every, period, resolution, abs(step), *told, *paths)
+    noise = _explained(resolution, abs(step)) * float(np.linalg.norm(response))
+    if not resolution and still:  # how much it shakes before the step
+        noise = max(noise, 1.5 * _rms(step * errors[:still]))
+    return _identified(
+        [mass, damping, _NONE, _NONE, late.times(period, 0.0)], period, resolution, noise,
+        (velocity, nan), "", measured[None], fitted[None],
+    )  # fmt: skip
+
+
+def _of_one_error(loop: HapticLoop, gains: tuple[float, float], count: int) -> Rows:
+    """The readings that follow an error of 1 in one of them, by p_0/p."""
+    alpha, beta = (np.array([0.0, float(x)]) for x in (loop.alpha(gains[0]), loop.beta(gains[1])))
+    opened, closed = loop_polynomial(alpha, beta, loop.in_floats().linear)
+    response: Rows = lfilter(opened, closed, np.eye(1, count)[0])
+    return response
+
+
+def _half_widths(found: Any, weights: Rows, count: int, response: Rows) -> Values:
+    """Of 95 % intervals, from how errors of samples move a fit: alone, and with what follows."""
+    solved, free = np.linalg.pinv(found.jac), count - found.x.size
+    behind = np.array([np.convolve(row[::-1], response)[: len(row)] for row in solved * weights])
+    pushed = np.mean((found.fun / weights) ** 2) / np.sum(response**2)  # of the encoder's errors
+    alone = 2.0 * found.cost / free * np.sum(solved**2, axis=1)
+    half: Values = stdtrit(free, 0.975) * np.sqrt(
+        np.maximum(alone, pushed * np.sum(behind**2, axis=1))
+    )
+    return half
 
 
 def _is_determined(found: Any, lowest: list[Any], highest: list[Any]) -> bool:
@@ -344,17 +380,17 @@ def _identified(
     estimates: list[Estimate],
     period: float,
     resolution: float | None,
-    extent: float,
+    noise: float,
     estimator: tuple[Velocity | None, float],
     doubt: str,
     measured: Segments,
     fitted: Segments,
 ) -> Identified:
-    """The answer, with what the residual says of it; ``extent`` is that of the motion."""
+    """The answer, with what the residual says of it; ``noise`` is what needs no reason."""
     mass, damping, friction, offset, delay, stiffness = [*estimates, _NONE][:6]
     damping, friction = damping.times(1.0, 0.0), friction.times(1.0, 0.0)
     _warn_of_units(mass.value, period)
-    doubts = [_doubt(measured - fitted, resolution, extent, period), doubt]
+    doubts = [_doubt(measured - fitted, resolution, noise, period), doubt]
     if delay.high < 0.0:
         doubts.append(
             f"positions are {-1e3 * delay.value:.3g} ms ahead of the forces that cause them: "
@@ -645,16 +681,19 @@ def _estimator(
     return best, float(np.sqrt(least / max(np.mean(wanted**2), tiny)))
 
 
-def _doubt(residual: Segments, resolution: float | None, extent: float, period: float) -> str:
+def _explained(resolution: float | None, extent: float) -> float:
+    """The largest residual that rounding explains: the encoder's, or that of a computed path."""
+    return 1.5 * resolution / sqrt(12.0) if resolution else 1e-6 * extent
+
+
+def _doubt(residual: Segments, resolution: float | None, noise: float, period: float) -> str:
     """Return a warning, with its main frequency, if the residual is not what noise leaves."""
     window, size = np.hanning(residual.shape[1]), _rms(residual)
     power = np.mean(abs(np.fft.rfft(window * residual, axis=1)) ** 2, axis=0)[2:]
     peak = (int(np.argmax(power)) + 2) / (residual.shape[1] * period)
     times = sqrt(12.0) * (size / resolution if resolution else 0.0)
-    noise = 1e-6  # of the motion: a smaller residual causes no warning
-    odd, unlikely = 1.5, 1e-3  # a residual in roundings, and the chance of white noise
-    chance = chance_of_white(residual)
-    if times <= odd if resolution else chance > unlikely or size <= noise * extent:
+    unlikely, chance = 1e-3, chance_of_white(residual)
+    if size <= noise or (not resolution and chance > unlikely):
         return ""
     of_rounding = f", {times:.3g} times that of the encoder's rounding" if resolution else ""
     colour = f", not white (p = {chance:.1g})" if chance <= unlikely else ""
