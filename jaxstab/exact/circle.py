@@ -53,6 +53,7 @@ from jaxstab.model.device.parts import remembered, tiny
 
 _OVERLAP = 9  # a cell reaches to 9/8 of its share: the ends of shares may be moved by 1/8
 _MOST_DERIVATIVES = 5  # zeros of one order less are found at once
+PATIENT = 512  # bits from which on places without a direction are taken as they are
 
 
 class Zero(NamedTuple):
@@ -68,7 +69,7 @@ class Zero(NamedTuple):
 def zeros(cosines: "list[arb]", *, is_last_try: bool) -> list[Zero] | None:
     """All zeros in (0, pi), from left to right; None where more bits are needed.
 
-    ``is_last_try`` has places without a direction reported.
+    ``is_last_try`` has places without a direction reported: mostly from ``PATIENT`` bits on.
     """
     most_for_powers = 36  # degree: above, 192 bits are too few for Sturm's chain
     if all(c.contains(0) for c in cosines[1:]):  # a constant, as far as the balls tell

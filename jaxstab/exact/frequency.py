@@ -20,10 +20,10 @@ from math import inf, nan
 from typing import NamedTuple
 
 import numpy as np
-from flint import arb, arb_poly
+from flint import arb, arb_poly, ctx
 from jaxtyping import Complex128, Float64
 
-from jaxstab.exact.circle import zeros
+from jaxstab.exact.circle import PATIENT, zeros
 from jaxstab.exact.line import OnCircle, real_quotient_angles, stable_pencil
 from jaxstab.exact.roots import Number, is_sharp
 from jaxstab.exact.small_gain import squared
@@ -103,7 +103,7 @@ class _Place(NamedTuple):
 def _crossovers(below: Factored, above: Factored) -> tuple[Reading, Reading] | None:
     """The phase margin, and the delay margin in whole samples; None for more bits."""
     sums = arb_poly(squared(above)) - arb_poly(squared(below))
-    found = zeros([sums[0], *(2 * c for c in sums.coeffs()[1:])], is_last_try=True)
+    found = zeros([sums[0], *(2 * c for c in sums.coeffs()[1:])], is_last_try=ctx.prec >= PATIENT)
     if found is None:
         return None
     phases, delays = list[_Place](), list[_Place]()

@@ -46,7 +46,7 @@ from typing import NamedTuple
 from flint import acb, acb_poly, arb, arb_poly, ctx
 
 from jaxstab.conventions import MEASURED, Status
-from jaxstab.exact.circle import zeros
+from jaxstab.exact.circle import PATIENT, zeros
 from jaxstab.exact.roots import Number, is_sharp, sign_of
 from jaxstab.exact.verdict import TripleAt, roots_outside
 from jaxstab.model.balls import Factored
@@ -233,9 +233,8 @@ class _Found(NamedTuple):
 
 def _found(line: _Line) -> _Found | None:
     """The crossings, each as accurate as a float64; None for more bits."""
-    patient = 512  # bits from which on places without a direction are taken as they are
     nothing = 1e-30  # of the largest end: an error that small is none
-    is_last_try = ctx.prec >= patient
+    is_last_try = ctx.prec >= PATIENT
     found = _crossings(line, is_last_try=is_last_try)
     if found is None:
         return None
@@ -257,7 +256,7 @@ def _end(crossing: Crossing) -> End:
 
 def real_quotient_angles(p0: Factored, q: Factored) -> "list[arb] | None":
     """The angles in (0, pi) where q/p0 is real, 0 or infinite, in order; None for more bits."""
-    places = zeros(_cosines_of(p0, q), is_last_try=True)
+    places = zeros(_cosines_of(p0, q), is_last_try=ctx.prec >= PATIENT)
     if places is None:
         return None
     windows = {Fraction(2 * j, n) for n in p0.windows + q.windows for j in range(1, (n + 1) // 2)}
