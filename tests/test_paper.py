@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from jaxstab.cli.main import main
 from jaxstab.paper import linear_validity
-from jaxstab.pictures.paper import paper_figure, region_figure
+from jaxstab.pictures.plane import paper_figure, region_figure
 from jaxstab.pictures.style import picture
 
 

@@ -24,7 +24,7 @@ from jaxstab.pictures.study import study_figure
 from jaxstab.results import RegionStatus
 from jaxstab.scene import Scene, loop_of
 from jaxstab.scene import study as studies
-from jaxstab.scene.draws import distribution_of, draws_of, values_of
+from jaxstab.scene.study import distribution_of, draws_of, values_of
 
 LOOP = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3, delay=1e-3)
 WALLS = {"soft": (1000.0, 10.0), "stiff": (30000.0, 30.0)}

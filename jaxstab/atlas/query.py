@@ -241,7 +241,7 @@ class Atlas:
         Raises: ValueError if gamma, delta or delay is outside of the atlas, or nothing is stable
         there.
         """
-        from jaxstab.pictures.atlas import plot_atlas
+        from jaxstab.pictures.plane import plot_atlas
 
         return plot_atlas(self, ax, gamma, delta, delay)
 
@@ -331,7 +331,7 @@ class LoopAtlas:
 
         Raises: ValueError if the loop is outside of the atlas. Source: as ``query``.
         """
-        from jaxstab.pictures.atlas import plot_walls
+        from jaxstab.pictures.plane import plot_walls
 
         return plot_walls(self, ax)
 

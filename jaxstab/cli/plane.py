@@ -188,7 +188,7 @@ def plot(
 ) -> None:
     """Draw verdicts and fields in the (alpha, beta) plane."""
     from jaxstab.durable import publish, require_no_output
-    from jaxstab.pictures.atlas import draw_atlas
+    from jaxstab.pictures.plane import draw_atlas
 
     require_no_output(file)
     png = draw_atlas(jaxstab.open_atlas(file), gamma, delta, delay)
@@ -243,7 +243,7 @@ _FIGURES = range(4, 11)
 def figure(number: str, output: Path, form: str) -> None:
     """Draw a figure of Hulin, Preusche, Hirzinger (2008): NUMBER is 4 ... 10, or all."""
     from jaxstab.durable import named_errors, publish
-    from jaxstab.pictures.paper import paper_figure
+    from jaxstab.pictures.plane import paper_figure
     from jaxstab.pictures.style import picture
 
     if output.suffix in (".png", ".svg"):
@@ -275,7 +275,7 @@ def region(
     with at_work(f"region of a loop with {delay:g} samples of delay"):
         facts = region_facts(gamma=gamma, delta=delta, delay=delay, radius=radius)
     if output:
-        from jaxstab.pictures.paper import region_figure
+        from jaxstab.pictures.plane import region_figure
 
         draw(region_figure(gamma, delta, delay, radius), output)
     if as_json:

@@ -390,8 +390,8 @@ def limits(in_full: bool, islands: bool, **given: Any) -> int:
     for all hands and delays of the scene by proof, and the walls of the scene are among them, 1 if
     not. --gains without a mass or inertia asks for the least inertia that these need.
     """
-    from jaxstab.scene.backwards import known_of
     from jaxstab.scene.limits import brief
+    from jaxstab.scene.tune import known_of
 
     tables = tables_of(given).values() if given["gains"] else ()
     is_asked = tables and not any({"mass", "inertia"} & known_of(table) for table in tables)
@@ -451,8 +451,8 @@ def contact(output: Path | None, count: int | None, frictions: str | None, **giv
     from jaxstab.loop import ContactKind
     from jaxstab.scene.answers import delay_notes
     from jaxstab.scene.contact import map_contacts
-    from jaxstab.scene.draws import listed
     from jaxstab.scene.labelled import computed, require_free, write
+    from jaxstab.scene.study import listed
 
     scene = scene_of(given, "a map")
     require_free(output)

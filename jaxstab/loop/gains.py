@@ -245,16 +245,14 @@ class TwoGains:
             >>> loop.plot().get_xlabel(), loop.plot("bode", kp=1000.0, kd=20.0).get_xlabel()
             ('kp (N m/rad)', 'frequency (Hz)')
         """
+        from jaxstab.pictures.style import plot_loop, plot_open_loop
+
         checked_word("kind", kind, ("region", "nyquist", "bode"))
         if kind == "region":
-            from jaxstab.pictures.style import plot_loop
-
             if wall or gains:
                 raise TypeError('gains are given beside kind "region", which is of all gains.')
             loop: Any = self
             return plot_loop(loop, ax)
-        from jaxstab.pictures.frequency import plot_open_loop
-
         pair = [checked_number(*gain) for gain in self._named(wall, gains).items()]
         response = partial(exact.frequency_response, partial(self._opened, *pair))
         margins = self._frequency_margins(*pair)

@@ -24,7 +24,6 @@ from jaxstab.guard import Guard
 from jaxstab.loop import Contact, ContactKind, HapticLoop, WallRegion
 from jaxstab.loop.jitter import MovingLoop
 from jaxstab.motion.settling import likely_settling
-from jaxstab.pictures.labels import Level, Spot, write_names
 from jaxstab.pictures.style import (
     BLACK,
     BLUE,
@@ -36,6 +35,8 @@ from jaxstab.pictures.style import (
     RED,
     SKY,
     Floats,
+    Level,
+    Spot,
     closed_outline,
     draw_islands,
     draw_linear_rule,
@@ -43,6 +44,7 @@ from jaxstab.pictures.style import (
     plain,
     plot_moving,
     raise_powers,
+    write_names,
 )
 from jaxstab.scene.answers import (
     GIVEN,

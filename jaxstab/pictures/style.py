@@ -1,23 +1,48 @@
-"""The style of all pictures: colours, sizes, labels; and how a figure becomes a file."""
+"""The style of all pictures, texts on them, and what loops and regions draw of themselves.
+
+A text takes the first of its places that is inside of the axes and covers no mark, no other text
+and, if possible, no line. Positions are known once a figure is laid out, so texts come last.
+
+Of the open loop L of one pair of gains there are a Nyquist and a Bode plot: L is sampled densely,
+and more so next to each margin; the margins beside it are proved.
+"""
 
 import re
 from base64 import b64encode
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
 from io import BytesIO
-from typing import Any
+from itertools import product
+from math import isnan
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patheffects import AbstractPathEffect, withStroke
+from matplotlib.text import Annotation
 from matplotlib.ticker import ScalarFormatter
+from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
-from jaxstab.loop import Contact, ContactKind, GainRegion, HapticLoop, Loop, WallRegion
+from jaxstab.conventions import Verdict
+from jaxstab.loop import (
+    Contact,
+    ContactKind,
+    FrequencyMargins,
+    GainRegion,
+    HapticLoop,
+    Loop,
+    WallRegion,
+)
 from jaxstab.loop.jitter import MovingLoop
 from jaxstab.model.filters import given_filters
 from jaxstab.region import StableRegion
+from jaxstab.shown import number_text
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Spot = tuple[float, float]
 
 # Okabe and Ito's colours, distinguishable with any colour vision.
 BLACK, ORANGE, SKY, GREEN, BLUE, RED, PURPLE = (
@@ -89,14 +114,113 @@ def picture(figure: Figure, form: str) -> bytes:
     return image.getvalue()
 
 
+# Texts: names beside marks, and values on lines of equal values.
+
+
+class Level(NamedTuple):
+    """A line of equal values: its points (n, 2) in the coordinates of the axes, value, colour."""
+
+    points: Floats
+    words: str
+    colour: str
+
+
+class _Place(NamedTuple):
+    """Where a text may stand: beside a spot, so many points to the right of it and up."""
+
+    spot: Spot
+    offset: Spot
+    side: Literal["left", "center", "right"]
+
+
+def write_names(panel: Axes, spots: Mapping[str, Spot], levels: Sequence[Level] = ()) -> None:
+    """Write names beside their spots, and values on their lines, on axes that are laid out."""
+    lifts = (0, 11, -11, 22, -22, 34, -34, 46, -46, 60, -60, 80, -80)  # points
+    beside, most_places = 12, 60
+    taken = _marks(panel)
+    for name, spot in spots.items():
+        if not panel.bbox.contains(*panel.transData.transform(spot)):
+            continue
+        places = [
+            _Place(spot, (x, y), "left" if x > 0 else "right") for y, x in product(lifts, (9, -9))
+        ]
+        box: Any = {"boxstyle": "round,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.75}
+        look: Any = {"fontsize": 9, "zorder": 6, "bbox": box}
+        best = _write(panel, plain(_short(name)), places, taken, look)
+        if abs(best.offset[1]) > beside:
+            line: Any = {"arrowstyle": "-", "lw": 0.6, "shrinkA": 0, "shrinkB": 5}
+            panel.annotate("", spot, best.offset, textcoords="offset points", arrowprops=line)
+    for level in levels:
+        pixels = panel.transData.transform(level.points)
+        points = level.points[[panel.bbox.contains(x, y) for x, y in pixels]]
+        points = _farthest_first(panel, points[:: 1 + len(points) // most_places], taken)
+        places = [_Place((x, y), (0, 0), "center") for x, y in points]
+        look = {"fontsize": 8, "color": level.colour, "path_effects": HALO, "zorder": 4}
+        if places:
+            _write(panel, plain(level.words), places, taken, look)
+
+
+def _short(name: str) -> str:
+    most, end = 28, 10  # letters
+    return name if len(name) <= most else f"{name[: most - end - 1]}…{name[-end:]}"
+
+
+def _farthest_first(panel: Axes, points: Floats, taken: Sequence[Bbox]) -> Floats:
+    """Points on axes, those far from what is taken first."""
+    if not taken:
+        return points
+    pixels = panel.transData.transform(points)
+    centres = np.array([(box.x0 + box.x1, box.y0 + box.y1) for box in taken]) / 2.0
+    nearest = np.hypot(*(pixels[:, None] - centres).T).min(axis=0)
+    ordered: Floats = points[np.argsort(-nearest, kind="stable")]
+    return ordered
+
+
+def _marks(panel: Axes) -> list[Bbox]:
+    """The boxes of the marks on axes."""
+    found = []
+    for line in panel.get_lines():
+        if line.get_marker() not in ("None", "|", "_"):
+            size = 1.2 * line.get_markersize() * panel.figure.dpi / 72.0  # pixels
+            pixels = panel.transData.transform(np.asarray(line.get_xydata()))
+            found += [Bbox.from_bounds(x - size / 2, y - size / 2, size, size) for x, y in pixels]
+    return found
+
+
+def _write(
+    panel: Axes, words: str, places: Sequence[_Place], taken: list[Bbox], look: Mapping[str, Any]
+) -> _Place:
+    """Write words at the best of some places, which is returned, and add them to what is taken."""
+    text = panel.annotate(
+        words, places[0].spot, (0, 0), textcoords="offset points", va="center", **look
+    )
+    drawn = [line for line in panel.get_lines() if line.get_linestyle() != "None"]
+    paths = [panel.transData.transform_path(line.get_path()) for line in drawn]
+
+    def cost(place: _Place) -> tuple[bool, int, int]:
+        box = _box(text, place)
+        is_cut = not (panel.bbox.contains(*box.min) and panel.bbox.contains(*box.max))
+        crossed = sum(path.intersects_bbox(box, filled=False) for path in paths)
+        return is_cut, box.count_overlaps(taken), crossed
+
+    best = min(places, key=cost)
+    taken.append(_box(text, best))
+    return best
+
+
+def _box(text: Annotation, place: _Place) -> Bbox:
+    """Move a text to a place; the pixels that it covers there."""
+    text.xy, text.xyann = place.spot, place.offset
+    text.set_horizontalalignment(place.side)
+    return text.get_window_extent()
+
+
 # Pictures that regions and loops draw of themselves, on axes or in a notebook.
 
 _SIZE = 5.0, 3.6  # inches
 STIFFNESS_LABEL, DAMPING_LABEL = "stiffness K (N/m)", "damping B (N s/m)"
 
 Region = StableRegion | WallRegion | GainRegion
-
-Floats = NDArray[np.float64]
 
 
 def closed_outline(region: Region) -> Floats:
@@ -256,6 +380,89 @@ def plot_contact(contact: Contact, ax: Axes | None = None) -> Axes:
     beside.set_ylabel("force of the wall (N)", color=OCHRE)
     panel.set_title(f"simulated: {ContactKind(int(contact.kind)).words}", fontsize=9)
     return panel
+
+
+def plot_open_loop(
+    kind: str,
+    margins: FrequencyMargins,
+    response: Callable[[Floats], Complex],
+    period: float,
+    ax: Axes | None,
+) -> Axes:
+    """Draw L, which is given at angles in (0, pi], as a "nyquist" or a "bode" plot."""
+    panel, is_plane, highest = new_axes() if ax is None else ax, kind == "nyquist", 0.5 / period
+    found = np.array([float(own.frequency) for own in margins[1:] if own.frequency > 0.0])
+    lowest = min([*found / 30.0, highest / 100.0])
+    near = np.outer(found, 1.0 + np.linspace(-0.02, 0.02, 41)).ravel()
+    frequencies = np.unique([*np.geomspace(lowest, highest, 800), *near, *found])
+    frequencies = np.clip(frequencies, lowest, highest)
+
+    def at(hertz: Floats) -> Complex:
+        return response(np.minimum(2.0 * np.pi * period * hertz, np.pi))
+
+    values = at(frequencies)
+    for _ in range(2):  # next to a resonance L moves fast
+        is_far = np.abs(np.diff(values)) > 0.03 * (1.0 + np.abs(values[:-1]))
+        if not is_far.any():
+            break
+        shares = np.linspace(0.0, 1.0, 8, endpoint=False)[1:]
+        steps = np.diff(frequencies)[is_far, None]
+        more = (frequencies[:-1][is_far, None] + shares * steps).ravel()
+        frequencies, order = np.unique(np.append(frequencies, more), return_index=True)
+        values = np.append(values, at(more))[order]
+    (_draw_plane if is_plane else _draw_magnitudes)(panel, frequencies, values)
+    peak = float(margins.sensitivity.value)
+    if is_plane and not isnan(peak):
+        around = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 361)) / peak - 1.0
+        panel.plot(around.real, around.imag, color=RED, lw=0.8)
+    for name, own, unit, mark, colour in (
+        ("gain margin", margins.largest_gain, "", "o", GREEN),
+        ("phase margin", margins.phase, "degrees", "s", ORANGE),
+        ("peak sensitivity", margins.sensitivity, "", "^", RED),
+    ):
+        if own.frequency > 0.0:
+            value = complex(np.interp(own.frequency, frequencies, values))
+            size = 1.0 / (1.0 + value) if own is margins.sensitivity else value
+            place = (value.real, value.imag) if is_plane else (own.frequency, _decibels(size))
+            words = f"{name} {number_text(float(own.value), 3, unit=unit)}"
+            words += f" at {float(own.frequency):.3g} Hz"
+            panel.plot(*place, mark, color=colour, mec=BLACK, label=words)
+    if margins.verdict != Verdict.STABLE:
+        panel.set_title("not proved stable: there are no margins", fontsize=9)
+    panel.grid(visible=True, color="#dddddd", linewidth=0.6)
+    corner: Any = "upper right" if is_plane else "lower left"
+    panel.legend(fontsize=7, edgecolor="none", framealpha=0.8, loc=corner)
+    return panel
+
+
+def _decibels(values: complex | Complex) -> Floats:
+    return np.asarray(20.0 * np.log10(np.maximum(np.abs(values), 1e-300)))
+
+
+def _draw_plane(panel: Axes, _: Floats, values: Complex) -> None:
+    turn = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 361))
+    panel.plot(turn.real, turn.imag, ":", color=BLACK, lw=0.8, label="unit circle")
+    panel.plot(values.real, values.imag, color=BLUE, lw=1.4, label="L")
+    panel.plot(values.real, -values.imag, "--", color=BLUE, lw=0.7)
+    panel.plot(-1.0, 0.0, "+", color=RED, ms=10, mew=2)
+    panel.set(xlabel="Re L", ylabel="Im L", xlim=(-2.5, 1.5), ylim=(-1.6, 2.4))
+    panel.set_aspect("equal")
+
+
+def _draw_magnitudes(panel: Axes, frequencies: Floats, values: Complex) -> None:
+    legend_room, lowest = 0.6, -80.0  # of the height, below; in dB: lines leave the axes there
+    lines = (BLUE, "-", "|L|", values), (RED, "-", "|S|", 1 / (1 + values))
+    for colour, style, name, size in (*lines, (GREEN, "--", "|T|", values / (1 + values))):
+        panel.semilogx(frequencies, _decibels(size), style, color=colour, lw=1.2, label=name)
+    panel.axhline(0.0, color=BLACK, lw=0.6)
+    panel.set(xlabel="frequency (Hz)", ylabel="magnitude (dB)")
+    beside, phase = panel.twinx(), np.degrees(np.unwrap(np.angle(values)))
+    beside.plot(frequencies[:-1], phase[:-1], ":", color=ORANGE, lw=1.4)  # L may be 0 at the last
+    beside.set_ylabel("phase of L (degrees), dotted", color=OCHRE)
+    panel.set_ylim(bottom=max(panel.get_ylim()[0], lowest))
+    for axes in (panel, beside):
+        low, high = axes.get_ylim()
+        axes.set_ylim(low - legend_room * (high - low), high)
 
 
 def new_axes() -> Axes:

@@ -1,6 +1,5 @@
 from .answers import GainAnswer as GainAnswer
 from .answers import explain_model as explain_model
-from .backwards import Backwards as Backwards
 from .check import check_walls as check_walls
 from .contact import simulate_contacts as simulate_contacts
 from .gains import GainScene as GainScene
@@ -10,6 +9,7 @@ from .gains import explain_gains as explain_gains
 from .limits import scene_limits as scene_limits
 from .loops import loop_of as loop_of
 from .scene import Scene as Scene
+from .tune import Backwards as Backwards
 from .tune import DesignStatus as DesignStatus
 from .tune import design_loop as design_loop
 from .tune import tune_walls as tune_walls
