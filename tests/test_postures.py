@@ -14,7 +14,7 @@ from jaxstab.scene import Scene
 from jaxstab.scene.check import check_walls
 from jaxstab.scene.exports import atlas_spec
 from jaxstab.scene.limits import scene_limits
-from jaxstab.scene.loops import hands_among, ranges_of
+from jaxstab.scene.loops import corner_loops, ranges_of
 from jaxstab.scene.tune import design_loop, tune_walls
 from tests.commands import run
 
@@ -110,7 +110,7 @@ def test_every_answer_says_for_which_masses_it_is() -> None:
         assert answer.inputs.postures == words
         assert answer.hand is not None
         assert answer.hand.startswith(lowest)
-    assert [*dict.fromkeys(one.device_mass for one in hands_among(scene, 3))] == [0.15, 0.2, 0.25]
+    assert {loop.device_mass for loop in corner_loops(scene)} == {*MASSES}
     plain = scene_limits(Scene.from_table(table(mass=0.15)))
     assert plain.inputs is not None
     assert plain.inputs.postures is None

@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from scipy.linalg import expm, matrix_balance
 
 from jaxstab import Device, Hand, HapticLoop, Mode, Velocity
+from jaxstab.boxes.hands import spread_hands
 from jaxstab.conventions import Verdict
 from jaxstab.scene import Scene, check_walls, loop_of, scene_limits
-from jaxstab.scene.loops import common_outline, hands_among
+from jaxstab.scene.loops import OneHand, common_outline, corner_loops, range_of_hands
 
 Floats = NDArray[np.float64]
 
@@ -364,8 +365,8 @@ def test_hands_of_one_range_are_proved(file: Path) -> None:
     assert limits.all_hands is not None
     assert limits.all_hands.certainty == "proved for every hand"
     most, damping = limits.all_hands.largest_stiffness, limits.all_hands.at_damping
-    for hand in hands_among(scene, 9):
-        loop = loop_of(scene, hand)
+    for hand in spread_hands(range_of_hands(scene), 9).tolist():
+        loop = loop_of(scene, OneHand(*hand))
         assert loop.verdict(most, damping) == Verdict.STABLE
     higher = file.with_name("higher.toml")
     higher.write_text(
@@ -388,7 +389,7 @@ def test_item_12_hands_of_several_ranges_are_proved(file: Path) -> None:
 def test_walls_of_the_common_outline_are_stable_for_each_corner(file: Path) -> None:
     file.write_text(TEXT.replace("mass = 0.3", "mass = [0.0, 0.4]").replace("= 100.0", "= [0, 99]"))
     scene = Scene.from_file(file)
-    loops = [loop_of(scene, hand) for hand in hands_among(scene, 2)]
+    loops = corner_loops(scene)
     outline = common_outline(loops)
     middle = outline.mean(axis=0)
     inside = middle + 0.999 * (outline - middle)  # it is star-shaped about its middle

@@ -29,11 +29,10 @@ from jaxstab.scene.answers import GainAnswer, Quantity, basis_of, blocks_of
 from jaxstab.scene.limits import stable_intervals
 from jaxstab.scene.loops import (
     OneHand,
-    corners_of,
+    corner_loops,
     hands_of,
     is_one_mass,
     loop_of,
-    loop_of_member,
     loops_over_delays,
     masses_of,
     range_of_hands,
@@ -126,7 +125,7 @@ def _granted(scene: Scene, guard: Guard) -> list[str]:
 
 def atlas_spec(scene: Scene) -> AtlasSpec:
     """The specification of an atlas for all loops of a scene's ranges."""
-    loops = [loop_of_member(scene, member) for member in corners_of(scene)]
+    loops = corner_loops(with_tolerances(scene))
     if loops[0].body is None:
         raise TypeError(
             "an atlas covers devices that are one mass with their hand; leave out device.modes, "
@@ -164,12 +163,12 @@ def ask_atlas(scene: Scene, atlas: Atlas) -> tuple[dict[str, Any], list[dict[str
         "hand_damping": si.damping,
         "delay": "s",
     }
-    corners = corners_of(scene)
-    views = [atlas.for_loop(loop_of_member(scene, corner)) for corner in corners]
-    rows = []
-    for (name, gains), (corner, view) in product(walls.items(), zip(corners, views, strict=True)):
-        answer = view.query(*gains)
-        row = {"wall": name, **dict(zip(units, (*gains, *corner), strict=True))}
+    views, rows = [*map(atlas.for_loop, corner_loops(with_tolerances(scene)))], []
+    for (name, gains), view in product(walls.items(), views):
+        answer, loop = view.query(*gains), view.loop
+        hand = loop.hand_mass, loop.hand_stiffness, loop.hand_damping
+        values = *gains, loop.device_mass, *hand, loop.delay
+        row = {"wall": name, **dict(zip(units, values, strict=True))}
         row["verdict"] = Verdict(answer.verdict.item()).name.lower()
         row["status"] = QueryStatus(answer.status.item()).name.lower()
         rows.append(row)

@@ -10,7 +10,7 @@ from functools import partial
 from itertools import product
 from math import isfinite, isnan, nan
 from operator import add
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,12 +26,7 @@ from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.model.filters import Velocity, given_filters
 from jaxstab.model.parameters import DELTA_LIMIT, GAIN_LIMIT, GAMMA_LIMIT
 from jaxstab.region import RegionStatus
-from jaxstab.scene.answers import (
-    Answer,
-    GainAnswer,
-    Quantity,
-    printed_wall,
-)
+from jaxstab.scene.answers import Answer, GainAnswer, Quantity, printed_wall
 from jaxstab.scene.scene import Hand, Scene, Units, range_in_words
 
 Floats = NDArray[np.float64]
@@ -72,13 +67,12 @@ def loop_of(scene: Scene, hand: OneHand | None = None) -> HapticLoop:
     """The loop of a scene with a hand; without, the one at the lowest ends of the ranges."""
     hand = hand or _lowest_hand(scene)
     _check_scale(scene)
-    controller = scene.controller
-    mechanics: dict[str, Any] = {}
+    controller, mechanics = scene.controller, dict[str, Any]()
     if is_one_mass(scene):
+        mechanics = {"hand_mass": hand.mass, "hand_stiffness": hand.stiffness}
+        mechanics["hand_damping"] = hand.damping
         mechanics["device_mass"] = hand.device_mass or scene.device.effective_mass[0]
         mechanics["device_damping"] = scene.device.effective_damping
-        mechanics["hand_mass"], mechanics["hand_stiffness"] = hand.mass, hand.stiffness
-        mechanics["hand_damping"] = hand.damping
     else:
         mechanics["device"] = device_of(scene, hand)
     return HapticLoop(
@@ -115,20 +109,6 @@ def masses_of(scene: Scene) -> tuple[float, float] | None:
 def walls_of(scene: Scene) -> dict[str, Gains]:
     """Return the gains of the walls by name."""
     return {name: Gains(wall.stiffness, wall.damping) for name, wall in scene.walls.items()}
-
-
-def hands_among(scene: Scene, count: int) -> list[OneHand]:
-    """A grid over the ranges of the scene's hand and device mass; ``count`` 2 gives the corners."""
-    from jaxstab.boxes.hands import spread_hands
-
-    hands, masses = spread_hands(range_of_hands(scene), count).tolist(), masses_of(scene)
-    among = [None] if masses is None else np.linspace(*masses, count).tolist()
-    return [replace(OneHand(*hand), device_mass=mass) for hand in hands for mass in among]
-
-
-def corner_loops(scene: Scene) -> list[HapticLoop]:
-    """The loop of a scene with each hand and mass at the corners of the ranges."""
-    return [loop_of(scene, hand) for hand in hands_among(scene, 2)]
 
 
 def range_of_hands(scene: Scene) -> HandRange:
@@ -190,60 +170,44 @@ def _check_scale(scene: Scene) -> None:
             )
 
 
-# The members of a scene's ranges: masses of the device, hands and delays.
-
-
-class Member(NamedTuple):
-    """A member of the ranges, the delay in s."""
-
-    mass: float
-    hand_mass: float
-    hand_stiffness: float
-    hand_damping: float
-    delay: float
+# The ranges of a scene: masses of the device, hands and delays.
 
 
 def ranges_of(scene: Scene) -> list[tuple[float, float]]:
-    """Return the ends of mass, hand (3) and delay."""
-    wanted, hand, controller = scene.wanted, scene.hand or Hand(), scene.controller
-    masses, share = scene.device.effective_mass, wanted.mass_tolerance or 0.0
-    aside = wanted.delay_tolerance or 0.0
-    shortest, longest = controller.delays
+    """Return the ends of mass, hand (3) and delay; ValueError for a delay that moves."""
+    hand, controller = scene.hand or Hand(), scene.controller
     if controller.moves:
         raise ValueError(
             f"the delay is {range_in_words(controller.delays)} s and moves, but this answer is for "
             'constant delays; give delay_is = "constant" in [controller], and no lost_samples.'
         )
-    return [
-        (masses[0] * (1.0 - share), masses[1] * (1.0 + share)),
-        *hand.ranges,
-        (max(shortest - aside, 0.0), longest + aside),
-    ]
+    return [scene.device.effective_mass, *hand.ranges, controller.delays]
 
 
 def with_tolerances(scene: Scene) -> Scene:
     """Return a scene whose ranges of mass and delay are as wide as their tolerances make them."""
-    masses, *_ = ranges_of(scene.at_longest_delay)
-    controller, aside = scene.controller, scene.wanted.delay_tolerance or 0.0
-    (shortest, longest), kind = controller.delays, "moving" if controller.moves else "constant"
+    device, controller, wanted = scene.device, scene.controller, scene.wanted
+    share, aside = wanted.mass_tolerance or 0.0, wanted.delay_tolerance or 0.0
+    (lightest, heaviest), (shortest, longest) = device.effective_mass, controller.delays
+    masses: Any = {scene.units.moved: (lightest * (1.0 - share), heaviest * (1.0 + share))}
     delays: Any = {"delay": (max(shortest - aside, 0.0), longest + aside), "delay_samples": None}
-    mass: Any = {"mass" if scene.device.inertia is None else "inertia": masses}
+    kind = "moving" if controller.moves else "constant"
     return replace(
         scene,
-        device=replace(scene.device, **mass),
+        device=replace(device, **masses),
         controller=replace(controller, delay_is=kind, **delays),
     )
 
 
-def corners_of(scene: Scene) -> list[Member]:
-    """Return the members at the corners of the ranges, each once."""
-    return list(dict.fromkeys(Member(*values) for values in product(*ranges_of(scene))))
+def loop_within(scene: Scene, mass: float, *hand_and_delay: float) -> HapticLoop:
+    """The loop with a mass of the device, a hand and a delay of a scene's ranges."""
+    *hand, delay = hand_and_delay
+    return loop_of(with_delay(scene, delay), OneHand(*hand, mass))
 
 
-def loop_of_member(scene: Scene, member: Member) -> HapticLoop:
-    """Return the loop of a member of the ranges."""
-    hand = OneHand(member.hand_mass, member.hand_stiffness, member.hand_damping, member.mass)
-    return loop_of(with_delay(scene, member.delay), hand)
+def corner_loops(scene: Scene) -> list[HapticLoop]:
+    """The loops at the corners of a scene's ranges, each once."""
+    return [loop_within(scene, *values) for values in dict.fromkeys(product(*ranges_of(scene)))]
 
 
 def with_delay(scene: Scene, delay: float) -> Scene:

@@ -29,13 +29,12 @@ from jaxstab.scene.check import settled
 from jaxstab.scene.limits import StableGains, StableWalls, numbered
 from jaxstab.scene.loops import (
     Floats,
-    Member,
-    OneHand,
     at_lowest,
-    corners_of,
+    corner_loops,
     hands_of,
+    held_by,
     loop_of,
-    loop_of_member,
+    loop_within,
     masses_of,
     range_of_hands,
     ranges_of,
@@ -62,14 +61,14 @@ def tune_over_ranges(scene: Scene, fastest: Gains | None) -> GainAnswer | None:
 
     Settling is that of constant delays: of a delay that moves, the longest one.
     """
-    given, scene = scene, scene.at_longest_delay if scene.controller.moves else scene
+    given = with_tolerances(scene)
+    scene = with_tolerances(scene.at_longest_delay) if scene.controller.moves else given
     ranges = ranges_of(scene)
     if all(low == high for low, high in ranges):
         return None
-    corners = corners_of(scene)
-    loops = [loop_of_member(scene, member) for member in corners]
-    among = [*corners, *_between(ranges)]
-    every = [*loops, *(loop_of_member(scene, member) for member in among[len(corners) :])]
+    corners = corner_loops(scene)
+    every = [*corners, *(loop_within(scene, *values) for values in _between(ranges))]
+    loops = [*corners]
     for _ in range(3):  # rounds, in which the slowest of them joins the corners
         wall = tune_for_all(loops)
         if wall.status == TuningStatus.NO_STABLE_GAINS:
@@ -81,8 +80,9 @@ def tune_over_ranges(scene: Scene, fastest: Gains | None) -> GainAnswer | None:
         if times[slowest] <= wall.settling_time or every[slowest] in loops:
             break
         loops.append(every[slowest])
-    member, ((worst, _),) = among[slowest], worst_on(with_tolerances(given), [rounded])
-    hand = OneHand(*member[1:4]) if scene.hand else None
+    slow, ((worst, _),) = held_by(every[slowest], scene), worst_on(given, [rounded])
+    mass = slow.device_mass or scene.device.effective_mass[0]
+    hand = replace(slow, device_mass=None) if scene.hand else None
     return GainAnswer(
         {
             **rounded._asdict(),
@@ -90,7 +90,7 @@ def tune_over_ranges(scene: Scene, fastest: Gains | None) -> GainAnswer | None:
             "fastest_wall_at_worst": (
                 None if fastest is None else float(settling_times(every, *fastest).max())
             ),
-            "slowest": GainAnswer({"mass": member.mass, "delay": member.delay, "hand": hand}),
+            "slowest": GainAnswer({"mass": mass, "delay": every[slowest].delay, "hand": hand}),
             "certainty": f"the slowest of {len(every)} loops that were tried, {len(corners)} of "
             "them at corners of the ranges; the settling of others is not proved",
             "verdict": worst.for_all,
@@ -104,15 +104,15 @@ def _is_stable(loops: list[HapticLoop], stiffness: float, damping: float) -> boo
     return all(loop.verdict(stiffness, damping) == Verdict.STABLE for loop in loops)
 
 
-def _between(ranges: list[tuple[float, float]]) -> list[Member]:
-    """Return random members, and the one in the middle; stiffness evenly in frequency."""
+def _between(ranges: list[tuple[float, float]]) -> list[list[float]]:
+    """Return random values of ranges, and those in the middle; stiffness evenly in frequency."""
     rng = np.random.default_rng(20081120)
     shares = np.concatenate([np.full((1, len(ranges)), 0.5), rng.random((100, len(ranges)))])
     low, high = np.array(ranges).T
-    values = low + shares * (high - low)
+    values: Floats = low + shares * (high - low)
     roots = sqrt(low[2]) + shares[:, 2] * (sqrt(high[2]) - sqrt(low[2]))
     values[:, 2] = np.clip(roots**2, low[2], high[2])
-    return [Member(*row) for row in values.tolist()]
+    return values.tolist()
 
 
 class BestWall(GainAnswer):
