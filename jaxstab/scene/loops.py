@@ -199,15 +199,15 @@ def with_tolerances(scene: Scene) -> Scene:
     )
 
 
-def loop_within(scene: Scene, mass: float, *hand_and_delay: float) -> HapticLoop:
-    """The loop with a mass of the device, a hand and a delay of a scene's ranges."""
-    *hand, delay = hand_and_delay
-    return loop_of(with_delay(scene, delay), OneHand(*hand, mass))
+def loop_within(scene: Scene, values: Sequence[float]) -> HapticLoop:
+    """The loop with a mass of the device, a hand (3) and a delay of a scene's ranges."""
+    mass, *hand, delay = values
+    return loop_of(with_delay(scene, delay), replace(OneHand(*hand), device_mass=mass))
 
 
 def corner_loops(scene: Scene) -> list[HapticLoop]:
     """The loops at the corners of a scene's ranges, each once."""
-    return [loop_within(scene, *values) for values in dict.fromkeys(product(*ranges_of(scene)))]
+    return [loop_within(scene, values) for values in dict.fromkeys(product(*ranges_of(scene)))]
 
 
 def with_delay(scene: Scene, delay: float) -> Scene:

@@ -67,7 +67,7 @@ def tune_over_ranges(scene: Scene, fastest: Gains | None) -> GainAnswer | None:
     if all(low == high for low, high in ranges):
         return None
     corners = corner_loops(scene)
-    every = [*corners, *(loop_within(scene, *values) for values in _between(ranges))]
+    every = [*corners, *(loop_within(scene, values) for values in _between(ranges))]
     loops = [*corners]
     for _ in range(3):  # rounds, in which the slowest of them joins the corners
         wall = tune_for_all(loops)
