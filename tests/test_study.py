@@ -22,7 +22,7 @@ from jaxstab import HapticLoop, Verdict
 from jaxstab.cli.interrupt import processes
 from jaxstab.pictures.study import study_figure
 from jaxstab.results import RegionStatus
-from jaxstab.scene import Scene, loop_of
+from jaxstab.scene import Scene, labelled, loop_of
 from jaxstab.scene import study as studies
 from jaxstab.scene.study import distribution_of, draws_of, values_of
 
@@ -302,7 +302,7 @@ def test_a_row_that_is_drawn_again_is_computed_once(
         np.testing.assert_allclose(row.largest_stiffness, own.limits().stiffness, rtol=1e-9)
         gains = row.wall_stiffness.values, row.wall_damping.values
         np.testing.assert_array_equal(row.verdict, own.verdict(*gains))
-    plan = studies.plan_study(TABLE, over, samples=90).notes[-1]
+    plan = studies.plan_study(TABLE, over, samples=90)[1][-1]
     assert plan.startswith("2 device_mass x 90 sample x 2 wall: 6 loops, about ")
 
 
@@ -400,7 +400,7 @@ def test_where_no_wall_is_stable_the_largest_stiffness_counts_as_0(
 def test_blocks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = small()
     monkeypatch.setattr(studies, "_BLOCK", 20)
-    assert studies.plan_study(TABLE, {"device.mass": [0.1, 0.2]}).table.chunks
+    assert studies.plan_study(TABLE, {"device.mass": [0.1, 0.2]})[0].chunks
     assert small().identical(whole)
 
 
@@ -408,8 +408,8 @@ def test_costly_loops_come_in_small_blocks() -> None:
     over = {"hand.stiffness": "uniform:100:300"}
     table = {**TABLE, "device": {**TABLE["device"], "modes": [MODE]}}
     for answers, most in ((["verdict"], 8192), (["margins"], 20)):
-        planned = studies.plan_study(table, over, answers=answers, samples=10_000)
-        assert max(planned.table.chunks["sample"]) <= most
+        planned, _ = studies.plan_study(table, over, answers=answers, samples=10_000)
+        assert max(planned.chunks["sample"]) <= most
 
 
 def test_threads_compute_the_same(small_blocks: None) -> None:
@@ -717,11 +717,11 @@ def test_51_13_the_plan_counts_what_it_was_given_and_draws_what_takes_a_minute()
         ),
     ):
         table = {**TABLE, "device": {**TABLE["device"], "modes": modes}}
-        planned = studies.plan_study(table, over, answers=answers)
-        assert planned.table.sizes["sample"] == samples
-        assert planned.notes[-1].startswith(words), planned.notes
-    planned = studies.plan_study(table, over, answers=["margins"], samples=9000)
-    assert "18,000 loops, about 4 h of CPU time" in planned.notes[-1]
+        planned, notes = studies.plan_study(table, over, answers=answers)
+        assert planned.sizes["sample"] == samples
+        assert notes[-1].startswith(words), notes
+    _, notes = studies.plan_study(table, over, answers=["margins"], samples=9000)
+    assert "18,000 loops, about 4 h of CPU time" in notes[-1]
 
 
 @pytest.mark.parametrize(
@@ -761,13 +761,13 @@ def test_51_a_study_that_another_one_finished_meanwhile_is_kept(
     desk: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two studies begin at the same time and write the same file: both end, and one says so."""
-    output, real = desk.with_name("a.h5"), studies.StudyPlan.compute
+    output, real = desk.with_name("a.h5"), labelled.computed
 
-    def slower(planned: studies.StudyPlan) -> xarray.Dataset:
+    def slower(planned: xarray.Dataset) -> xarray.Dataset:
         output.write_bytes(b"of another one")
         return real(planned)
 
-    monkeypatch.setattr(studies.StudyPlan, "compute", slower)
+    monkeypatch.setattr(labelled, "computed", slower)
     result = run("study", desk, "--over", "device.mass=0.1,0.2", "-o", output)
     assert (result.exit_code, result.stdout) == (2, "")
     assert "a.h5: another process has written it meanwhile; remove that file" in result.stderr

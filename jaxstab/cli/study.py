@@ -77,7 +77,7 @@ def study(
 
     Lists of values span a grid, distributions are drawn at each of its points.
     """
-    from jaxstab.scene.labelled import require_free, write
+    from jaxstab.scene.labelled import computed, require_free, write
     from jaxstab.scene.study import merged, plan_study
 
     if output is None and (merge or part):
@@ -95,8 +95,7 @@ def study(
         keep_programs()
         number, count = part or (1, 1)
         asked: Any = {"answers": given["answer"], "samples": samples, "seed": seed}
-        planned = plan_study(scene, over, part=(number, count), **asked)
-        table = planned.table
+        table, notes = plan_study(scene, over, part=(number, count), **asked)
         if samples is not None and "sample" not in table.dims:
             raise click.UsageError(
                 f"--samples is {samples}, but nothing is drawn; leave it out, or let --over have a "
@@ -112,10 +111,10 @@ def study(
             f"{most:,}."
         )
     if not merge:
-        for note in planned.notes:
+        for note in notes:
             click.echo(f"jaxstab: {note}", err=True)
         with computing(given):
-            table = planned.compute()
+            table = computed(table)
     if output is not None:
         write(table, output)
     cells = _cells(table) if csv_file else ()

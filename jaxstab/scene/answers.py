@@ -27,7 +27,6 @@ _HEADINGS = {
     "islands": "island {}",
     "windows": "with a window of {} samples",
 }
-
 """The headings of the answers in a field that is a dictionary, by its name."""
 
 LABELS = {
@@ -52,9 +51,7 @@ LABELS = {
     "measures_are": "measures",
     "linear_rule_is": "note",
 }
-
 """Labels of fields whose names do not read as English, by name."""
-
 
 GIVEN = 0
 """The digits of a number that a user gave, or that was rounded: all that it has."""
@@ -128,6 +125,7 @@ def rounded_wall(stiffness: float, damping: float, is_stable: Any) -> tuple[floa
 
 NOT_PROVED = "not proved"
 _SPARE = Quantity("", 4, ROUND_FLOOR, "any", NOT_PROVED)
+_SETTLING = Quantity("s", infinite="never", absent=NOT_PROVED)
 
 
 def formats_of(units: Mapping[str, str]) -> dict[str, Quantity]:
@@ -147,65 +145,45 @@ def formats_of(units: Mapping[str, str]) -> dict[str, Quantity]:
     } | {f"{name}_factors": Quantity(digits=_LIMIT_DIGITS) for name in (*units, "both")}
 
 
-FORMATS = formats_of({"stiffness": "N/m", "damping": "N s/m"}) | {
+_FORMS = {
     # Of limits and designs.
-    **dict.fromkeys(("safety", "share_of_largest"), Quantity()),
-    **dict.fromkeys(
-        ("linear_rule_stiffness", "now_allowed_stiffness"),
-        Quantity("N/m", _LIMIT_DIGITS, ROUND_FLOOR),
-    ),
-    **dict.fromkeys(
-        ("largest_sample_time", "largest_step", "largest_delay"),
-        Quantity("s", _LIMIT_DIGITS, ROUND_FLOOR),
-    ),
-    **dict.fromkeys(
-        ("largest_delay_samples", "largest_delay_steps"), Quantity("", _LIMIT_DIGITS, ROUND_FLOOR)
-    ),
+    "safety share_of_largest": Quantity(),
+    "linear_rule_stiffness now_allowed_stiffness": Quantity("N/m", _LIMIT_DIGITS, ROUND_FLOOR),
     "proved_unstable_at": Quantity("N/m", infinite="no unstable wall was found there"),
     # Of checks and tuned gains: the change that each quantity allows alone, the least distance to
     # the edge of stability in units of alpha and beta, times, and the bounds of what an encoder
     # causes.
-    **dict.fromkeys(("stiffness_gain", "damping_gain"), _SPARE),
-    **dict.fromkeys(("extra_delay", "extra_delay_moving"), replace(_SPARE, unit="s")),
-    **dict.fromkeys(("gain_margin", "disk_margin"), _SPARE),
-    "delay_margin": replace(_SPARE, unit="s"),
+    "stiffness_gain damping_gain gain_margin disk_margin": _SPARE,
+    "extra_delay extra_delay_moving delay_margin": replace(_SPARE, unit="s"),
     "phase_margin": replace(_SPARE, unit="degrees"),
-    **dict.fromkeys(
-        ("peak_sensitivity", "peak_complementary", "least_gain"),
-        Quantity("", 4, ROUND_CEILING, absent=NOT_PROVED),
+    "peak_sensitivity peak_complementary least_gain": Quantity(
+        "", 4, ROUND_CEILING, absent=NOT_PROVED
     ),
-    **dict.fromkeys(
-        (
-            *("phase_margin_at", "gain_margin_at", "delay_margin_at", "disk_margin_at"),
-            *("peak_sensitivity_at", "peak_complementary_at"),
-            *("frequency", "contact_frequency"),
-        ),
-        Quantity("Hz"),
-    ),
+    "phase_margin_at gain_margin_at delay_margin_at disk_margin_at": Quantity("Hz"),
+    "peak_sensitivity_at peak_complementary_at frequency contact_frequency": Quantity("Hz"),
     "distance_to_boundary": Quantity(rounding=ROUND_FLOOR, absent="not known"),
-    **dict.fromkeys(("spectral_radius", "damping_ratio"), Quantity()),
+    "spectral_radius damping_ratio": Quantity(),
     "radius_error": Quantity(digits=3, rounding=ROUND_CEILING, infinite=NOT_PROVED),
-    **dict.fromkeys(
-        (
-            *("settling_time_2_percent", "settling_time_5_percent"),
-            *("settling_time_at_worst", "fastest_wall_at_worst"),
-        ),
-        Quantity("s", infinite="never", absent=NOT_PROVED),
-    ),
+    "settling_time_2_percent settling_time_5_percent": _SETTLING,
+    "settling_time_at_worst fastest_wall_at_worst": _SETTLING,
     "chatter_at_most": Quantity("m", 3, ROUND_CEILING, NOT_PROVED),
     "force_chatter_at_most": Quantity("N", 3, ROUND_CEILING, NOT_PROVED),
     "force_per_count": Quantity("N", 3),
     # Of simulated contacts.
     "time_to_rest": Quantity("s", 3, infinite="never"),
-    **dict.fromkeys(("amplitude", "penetration"), Quantity("m", 3)),
+    "amplitude penetration": Quantity("m", 3),
     "largest_force": Quantity("N", 3),
     "friction": Quantity("N"),
     # Of inputs.
-    **dict.fromkeys(("mass", "hand_mass", "device_mass"), Quantity("kg")),
-    **dict.fromkeys(("sample_time", "delay"), Quantity("s")),
-    **dict.fromkeys(("delay_samples", "lost_samples"), Quantity()),
+    "mass hand_mass device_mass": Quantity("kg"),
+    "sample_time delay": Quantity("s"),
+    "delay_samples lost_samples": Quantity(),
     "hand_stiffness": Quantity("N/m"),
     "hand_damping": Quantity("N s/m"),
+}
+_TIMES = {"sample_time": "s", "step": "s", "delay": "s", "delay_samples": "", "delay_steps": ""}
+FORMATS = formats_of({"stiffness": "N/m", "damping": "N s/m"} | _TIMES) | {
+    name: form for names, form in _FORMS.items() for name in names.split()
 }
 """The formats of numbers, by their names."""
 

@@ -151,9 +151,10 @@ def study(
     """
     if rng is not None:
         seed = int(np.random.default_rng(rng).integers(2**32))
-    return plan_study(
+    table, _ = plan_study(
         of, over, answers=answers, walls=walls, samples=samples, seed=seed, part=part
-    ).compute()
+    )
+    return computed(table)
 
 
 def shares(study: "Dataset", *, confidence: float = 0.95) -> "Dataset":
@@ -290,17 +291,6 @@ def _drawn(study: "Dataset", variable: str) -> "DataArray":
     return study[variable]
 
 
-class StudyPlan(NamedTuple):
-    """A study before it is computed: its table, of dask; sentences on draws, warnings, the cost."""
-
-    table: "Dataset"
-    notes: list[str]
-
-    def compute(self) -> "Dataset":
-        """Return the study."""
-        return computed(self.table)
-
-
 def plan_study(
     of: Any,
     over: Mapping[str, Any],
@@ -310,8 +300,11 @@ def plan_study(
     samples: int | None = None,
     seed: int = 0,
     part: tuple[int, int] = (1, 1),
-) -> StudyPlan:
-    """Return the plan of a study; arguments and errors as ``study``."""
+) -> tuple["Dataset", list[str]]:
+    """The table of a study, not yet computed, and sentences: on draws, warnings, the cost.
+
+    Arguments and errors as ``study``.
+    """
     if not over:
         raise ValueError("over is empty; give at least one key that varies.")
     source = _Source(_table_of(of))
@@ -351,7 +344,7 @@ def plan_study(
     axes = " x ".join(f"{length} {name}" for name, length in table.sizes.items())
     start = min(0.02 * loops, 10.0) * ("limits" in wanted)  # a few one by one, or to compile
     cost = f"{axes}: {loops:,} loops, about {_time(loops * seconds + start)} of CPU time"
-    return StudyPlan(table, [*notes, f"{cost}, {max(table.nbytes / 1e6, 1e-3):.3g} MB"])
+    return table, [*notes, f"{cost}, {max(table.nbytes / 1e6, 1e-3):.3g} MB"]
 
 
 def merged(paths: Sequence[Path]) -> "Dataset":
@@ -649,7 +642,7 @@ def _table_of(source: Any) -> Any:
     if isinstance(source, HapticLoop):
         return source.in_floats()
     if isinstance(source, Mapping):
-        return {name: source[name] for name in source}
+        return dict(source)
     if isinstance(source, str | PathLike):
         return read_table(source, "scene")
     raise TypeError(f"of is {shortened(source)}; give a scene (file or tables) or a HapticLoop.")
@@ -773,6 +766,8 @@ class _Source:
 
 def _with(loop: HapticLoop, given: Mapping[str, Any]) -> HapticLoop:
     """Return a loop with other fields; ``delay_samples`` are of its sampling period."""
+    if not given:
+        return loop
     own = {**given}
     if "delay_samples" in own:
         if "delay" in own:
@@ -859,34 +854,28 @@ class _Block:
             for name, values in _variables(self.source.answers[answer], of).items():
                 found[name][members] = values
 
-        numbers, alone = self.source.numbers, dict[int, Any]()
+        def made(row: int) -> Any:
+            return self.source.made({key: own[row].item() for key, own in flat.items()})
+
+        names, first = (gain.name for gain in self.source.gains), made(0)
+        pairs: Any = dict(zip(names, self.gains, strict=False))  # without walls there are none
+        is_one_mass = isinstance(first, HapticLoop) and first.device is None
+        numbers = self.source.numbers if is_one_mass else {}  # of others each is by itself
         others = [values.tolist() for key, values in flat.items() if key not in numbers]
-        groups = alike(zip(*others, strict=True) if others else [()] * count)
-        while groups:
-            members = groups.pop()
-            base = self.source.made({key: own[members[0]].item() for key, own in flat.items()})
-            if isinstance(base, Loop):
-                pairs: Any = dict(zip((gain.name for gain in base.gains), self.gains, strict=True))
-                for answer in {*self.answers} - {"limits"}:
-                    tell(answer, members, getattr(base, answer)(**pairs))
-                alone |= dict.fromkeys(members if "limits" in self.answers else (), base)
-                continue
+        alone = dict[int, Any]()
+        for members in alike(zip(*others, strict=True) if others else [()] * count):
+            base = made(members[0])
             varied = {numbers[key]: own[members] for key, own in flat.items() if key in numbers}
-            if base.device is not None:
-                groups += [[k] for k in members[1:]]  # each by itself
-                members, varied = members[:1], {}
             for answer in self.answers:
                 if answer != "limits":
                     stack = _with(base, {name: own[:, None] for name, own in varied.items()})
-                    tell(answer, members, getattr(stack, answer)(*self.gains))
-                elif len(members) >= 64:  # for which ``limits_of`` runs a program of JAX
+                    tell(answer, members, getattr(stack, answer)(**pairs))
+                elif varied and len(members) >= 64:  # ``limits_of`` runs a program of JAX
                     tell(answer, members, limits_of(_with(base, varied)))
                 else:
-                    rows = (
-                        {name: own[k].item() for name, own in varied.items()}
-                        for k in range(len(members))
-                    )
-                    alone |= zip(members, (_with(base, row) for row in rows), strict=True)
+                    for k in members:
+                        row = {numbers[key]: flat[key][k].item() for key in flat if key in numbers}
+                        alone[k] = _with(base, row)
         if alone:
             tell("limits", [*alone], limits_of([*alone.values()]))
         return tuple(values.reshape(*shape, *values.shape[1:]) for values in found.values())
