@@ -73,7 +73,7 @@ from jaxstab.scene.loops import (
     walls_of,
 )
 from jaxstab.scene.scene import Encoder, Scene, Units
-from jaxstab.scene.tune import stiffness_over_delays, stiffness_over_sample_times
+from jaxstab.scene.tune import stiffness_over
 
 if TYPE_CHECKING:
     from jaxstab.scene.identify import Identified
@@ -294,11 +294,11 @@ def _design_figure(scene: Scene, design: Any, basis: Basis) -> Figure:
     panels = figure.subplots(1, 2, sharey=True)
     wanted, now = design.stiffness, design.now_allowed_stiffness
     time, delay = design.sample_time.largest_sample_time, design.delay.largest_delay
-    for panel, name, present, designed, curve in (
-        (panels[0], "sample time", loop.sample_time, time, stiffness_over_sample_times),
-        (panels[1], "delay", loop.delay, delay, stiffness_over_delays),
+    for panel, key, present, designed in (
+        (panels[0], "sample_time", loop.sample_time, time),
+        (panels[1], "delay", loop.delay, delay),
     ):
-        values, largest = curve(scene, design)
+        name, (values, largest) = key.replace("_", " "), stiffness_over(key, scene, design)
         panel.plot(1e3 * values, largest, color=BLUE, lw=1.6, label="largest allowed stiffness")
         label = plain(f"wanted: {_STIFFNESS.words(wanted, units)}")
         panel.axhline(wanted, color=BLACK, lw=1.2, ls="dashdot", label=label)

@@ -195,8 +195,6 @@ def _tuned(loop: HapticLoop, gains: Gains, encoder: float | None) -> dict[str, A
 
 # The largest sample time and the largest delay that allow a wanted stiffness.
 
-_AROUND, _POINTS = (0.6, 1.6), 33  # of a picture: shares of its shortest and longest value
-
 
 class DesignStatus(Status):
     """The status of a largest sample time or delay."""
@@ -226,8 +224,6 @@ def design_loop(scene: Scene) -> GainAnswer:
     period, of_k = loop.sample_time, loop.gains[0]
     shortest = max(period / 1024.0, loop.delay / most_samples if in_samples is None else 0.0)
     longest = min(1024.0 * period, velocity.longest_sample_time if velocity else inf)
-    periods = _periods(velocity)
-    periods = None if periods is None else [value for value in periods if value >= shortest]
 
     def largest(name: str, loop_at: Any, *among: Any) -> GainAnswer:
         def at(value: float) -> StableWalls:
@@ -242,7 +238,11 @@ def design_loop(scene: Scene) -> GainAnswer:
             "safety": scene.wanted.safety,
             "now_allowed_stiffness": stable.safety * stable.found(of_k)[0],
             "sample_time": largest(
-                "sample_time", sampled_loop, period, (shortest, longest), periods
+                "sample_time",
+                sampled_loop,
+                period,
+                (shortest, longest),
+                _periods(velocity, shortest, inf),
             ),
             "delay": largest("delay", delayed_loop, period, (0.0, most_samples * period)),
             "hand": at_lowest(scene),
@@ -250,38 +250,29 @@ def design_loop(scene: Scene) -> GainAnswer:
     )
 
 
-def _periods(velocity: VelocityTable | None) -> list[float] | None:
-    """Return the sample times that divide the window in s of an estimator; None without one."""
+def _periods(velocity: VelocityTable | None, low: float, high: float) -> list[float] | None:
+    """The sample times in a range that divide the window in s of an estimator; None without one."""
     window = velocity.window if velocity else None
-    return [window / count for count in range(1, LONGEST_WINDOW + 1)] if window else None
+    if window is None:
+        return None
+    every = (window / count for count in range(1, LONGEST_WINDOW + 1))
+    return [period for period in every if low <= period <= high]
 
 
-def stiffness_over_sample_times(scene: Scene, design: GainAnswer) -> tuple[Floats, Floats]:
-    """Return sample times in s, around those now and designed, and the allowed stiffness."""
-    velocity, periods = scene.controller.velocity, _periods(scene.controller.velocity)
-    given = scene.controller.sample_time, design.sample_time.largest_sample_time
-    ends = [period for period in given if period > 0.0]
-    low, high = _AROUND[0] * min(ends), _AROUND[1] * max(ends)
-    high = min(high, velocity.longest_sample_time) if velocity else high
-    values = np.linspace(low, high, _POINTS)
-    if periods is not None:
-        values = np.array([value for value in periods[::-1] if low <= value <= high])
-    return values, _stiffnesses(scene, sampled_loop, values)
-
-
-def stiffness_over_delays(scene: Scene, design: GainAnswer) -> tuple[Floats, Floats]:
-    """Return delays in s, from 0 to beyond those now and designed, and the allowed stiffness."""
-    loop, designed = loop_of(scene), design.delay.largest_delay
-    longest = _AROUND[1] * max(loop.delay, loop.sample_time, designed if designed > 0.0 else 0.0)
-    values = np.linspace(0.0, longest, _POINTS)
-    return values, _stiffnesses(scene, delayed_loop, values)
-
-
-def _stiffnesses(
-    scene: Scene, loop_at: Callable[[Scene, float], HapticLoop], values: Floats
-) -> Floats:
-    safety = scene.wanted.safety or 1.0
-    return np.array([safety * _stiffest(loop_at(scene, x)).stiffness for x in values.tolist()])
+def stiffness_over(name: str, scene: Scene, design: GainAnswer) -> tuple[Floats, Floats]:
+    """Sample times, or delays, around those now and designed in s, and the allowed stiffness."""
+    shares, points = (0.6, 1.6), 33  # of the shortest and the longest that are given
+    loop, velocity, safety = loop_of(scene), scene.controller.velocity, scene.wanted.safety or 1.0
+    designed, among = design.values[name].values[f"largest_{name}"], None
+    given = [loop.sample_time, designed, *((0.0, loop.delay) if name == "delay" else ())]
+    low, high = shares[0] * np.nanmin(given), shares[1] * np.nanmax(given)
+    if name == "sample_time":
+        high = min(high, velocity.longest_sample_time) if velocity else high
+        among = _periods(velocity, low, high)
+    values = np.linspace(low, high, points) if among is None else np.array(among[::-1])
+    loop_at = sampled_loop if name == "sample_time" else delayed_loop
+    regions = (wall_region(loop_at(scene, value)) for value in values.tolist())
+    return values, np.array([safety * own.reachable.stiffest.stiffness for own in regions])
 
 
 def sampled_loop(scene: Scene, period: float) -> HapticLoop:
@@ -373,10 +364,6 @@ def _searched(
             )
         largest, status = max(low, root - 1e-8 * max(root, least)), DesignStatus.FOUND
     return largest, status
-
-
-def _stiffest(loop: HapticLoop) -> Gains:
-    return wall_region(loop).reachable.stiffest
 
 
 # The values of one quantity with which walls are stable.
