@@ -95,6 +95,10 @@ def marks_of(walls: Mapping[str, Any]) -> Marks:
     return {name: ((wall.stiffness, wall.damping), wall.verdict) for name, wall in walls.items()}
 
 
+def _spots(marks: Marks) -> Floats:
+    return np.array([spot for spot, _ in marks.values()]).reshape(-1, 2)
+
+
 def _draw_marks(panel: Axes, marks: Marks, noun: str = "wall") -> None:
     """Draw a mark for each wall, by its verdict."""
     for verdict, (colour, mark, _) in _LOOKS.items():
@@ -165,84 +169,74 @@ def scene_figure(scene: Scene | GainScene, answer: GainAnswer | None = None) -> 
     """
     if isinstance(scene, GainScene):
         return _gain_figure(scene)
-    visible = 0.05  # of the region, in K or in B: smaller sets are enlarged
-    given: Any = answer or GainAnswer({})
+    given = answer or GainAnswer({})
     if "friction" in given.values:
         return scene_contacts(scene)
-    tuned = given if "least_settling" in given.values else None
-    is_design = "now_allowed_stiffness" in given.values
-    is_of_walls = "walls" in given.values and not (tuned or "best" in given.values)
-    checked = given if is_of_walls else None
-    basis = basis_of(scene, at_longest=is_design or tuned is not None)
-    if is_design:
-        return _design_figure(scene.at_longest_delay, answer, basis)
-    walls = _judged(scene, given)
-    scene = scene.at_longest_delay if tuned else scene
+    if "now_allowed_stiffness" in given.values:
+        return _design_figure(scene, given)
+    is_tuned = "least_settling" in given.values
+    is_check = "walls" in given.values and not (is_tuned or "best" in given.values)
+    walls, basis = _judged(scene, given), basis_of(scene, at_longest=is_tuned)
+    scene = scene.at_longest_delay if is_tuned else scene
     if scene.controller.moves:
         return _moving_figure(scene, walls, basis)
     loop = loop_of(scene)
     everything = wall_region(loop)
     if everything.is_empty:
         raise ValueError("no wall is stable for this scene; there is nothing to draw.")
-    region = everything.reachable
+    region, is_limits = everything.reachable, not (is_tuned or is_check)
     islands = [island for island in everything.islands if isfinite(island.stiffest.stiffness)]
-    areas = [] if tuned else [_common(scene)]
-    if not (tuned or checked):
-        areas.append(_passive(scene, loop))
+    areas = [] if is_tuned else [_common(scene)]
+    areas += [_passive(scene, loop)] if is_limits else []
     areas = [area for area in areas if len(area[0])]
-    least = visible * np.array(region.extent)
+    least = 0.05 * np.array(region.extent)  # in K or in B: smaller sets are enlarged
     small = [outline for outline, _ in areas if (np.ptp(outline, axis=0) < least).any()]
     beside = [("enlarged", np.concatenate(small))] if small else []
-    if islands and not (small or tuned or checked):
+    if islands and is_limits and not small:
         outlines = [each.outline for each in (region, *islands)]
         beside.append(("with islands", np.maximum(np.concatenate(outlines), 0.0)))
-    widths = [_WIDTH] + [3.6] * len(beside) + [4.8] * (checked is not None)  # inches
+    widths = [_WIDTH] + [3.6] * len(beside) + [4.8] * is_check  # inches
     figure = Figure(figsize=(sum(widths), _HEIGHT), layout="constrained")
     panels = figure.subplots(1, len(widths), squeeze=False, width_ratios=widths)[0]
-    gains = np.array([spot for spot, _ in walls.values()]).reshape(-1, 2)
-    seen = [np.maximum(region.outline, 0.0), gains, np.zeros((1, 2))]
-    if checked is not None:
-        draw_margins(panels[0], checked.walls)
+    planes = [*panels[: 1 + len(beside)]]
+    seen = [np.maximum(region.outline, 0.0), _spots(walls), np.zeros((1, 2))]
+    if is_check:
+        draw_margins(panels[0], given.walls)
         seen += [np.maximum(line.get_xydata(), 0.0) for line in panels[0].get_lines()]
-    _set_window(panels[0], np.concatenate(seen))
-    panels[0].set_title("Stable walls")
-    planes = [panels[0], *panels[1 : 1 + len(beside)]]
-    for panel, (title, points) in zip(planes[1:], beside, strict=True):
+    title = "Settling times of stable walls" if is_tuned else "Stable walls"
+    views = [(title, np.concatenate(seen)), *beside]
+    for panel, (words, points) in zip(planes, views, strict=True):
         _set_window(panel, points)
-        panel.locator_params(axis="x", nbins=5)
-        panel.set_title(title)
-    for panel in planes:
+        panel.set_title(words)
         _label_gains(panel, scene.units)
         draw_stable(panel, region)
         for outline, look in areas:
             panel.fill(*outline.T, **look)
-        if not tuned:
+        if not is_tuned:
             draw_islands(panel, islands)
-        if not (tuned or checked):
+        if is_limits:
             draw_linear_rule(panel, loop)
+    for panel in planes[1:]:
+        panel.locator_params(axis="x", nbins=5)
     levels = []
-    if tuned:
-        panels[0].set_title("Settling times of stable walls")
+    if is_tuned:
         levels = _draw_settling(panels[0], loop, region)
         encoder = scene.device.encoder
         if encoder is not None:
             levels += _draw_chatter(panels[0], loop, region, encoder, scene.units)
-        _draw_tuned(panels[0], tuned, scene.units)
-    elif checked is None and isfinite(region.stiffest.stiffness):
+        _draw_tuned(panels[0], given, scene.units)
+    elif is_check:
+        draw_responses(panels[-1], scene, given.walls)
+        panels[-1].set_title("Response to a constant push")
+    elif isfinite(region.stiffest.stiffness):
         printed = printed_wall(
             *region.stiffest, lambda *wall: loop.verdict(*wall) == Verdict.STABLE
         )
-        wall = _gains_text(*printed, scene.units, _LARGEST)
-        panels[0].plot(
-            *region.stiffest, ">", color=ORANGE, ms=9, mec=BLACK, label=plain(f"stiffest: {wall}")
-        )
-    if checked is not None:
-        draw_responses(panels[-1], scene, checked.walls)
-        panels[-1].set_title("Response to a constant push")
+        label = plain(f"stiffest: {_gains_text(*printed, scene.units, _LARGEST)}")
+        panels[0].plot(*region.stiffest, ">", color=ORANGE, ms=9, mec=BLACK, label=label)
     for panel in planes:
         _draw_marks(panel, walls)
-    of_responses = "; responses: worst hand of each wall" if checked else ""
-    _write_basis(figure, scene, basis, of_responses)
+    _write_basis(figure, scene, basis, "; responses: worst hand of each wall" * is_check)
     return _with_legend(figure, planes, walls, min(1 + len(widths), 4), levels)
 
 
@@ -285,8 +279,9 @@ def _write_basis(figure: Figure, scene: Scene, basis: Basis, more: str = "") -> 
     figure.set_figheight(figure.get_figheight() + line * max(0, len(lines) - 2))
 
 
-def _design_figure(scene: Scene, design: Any, basis: Basis) -> Figure:
+def _design_figure(given: Scene, design: GainAnswer) -> Figure:
     """Draw the largest stiffness over the sample time and over the delay, and the wanted one."""
+    scene, basis = given.at_longest_delay, basis_of(given, at_longest=True)
     largest_time = Quantity("s", 4, ROUND_FLOOR)
     room_above = 1.6  # of the stiffness that a design is about
     units, loop = scene.units, loop_of(scene)
@@ -336,8 +331,7 @@ def _moving_figure(scene: Scene, walls: Marks, basis: Basis) -> Figure:
     stable = [spot for spot, verdict in walls.values() if verdict == Verdict.STABLE]
     drawn = plot_moving(loop, panel, stable)
     _draw_marks(panel, walls)
-    gains = np.array([spot for spot, _ in walls.values()]).reshape(-1, 2)
-    _set_window(panel, np.concatenate([drawn, gains, np.zeros((1, 2))]))
+    _set_window(panel, np.concatenate([drawn, _spots(walls), np.zeros((1, 2))]))
     _label_gains(panel, scene.units)
     _write_basis(figure, scene, basis)
     return _with_legend(figure, [panel], walls, 3)

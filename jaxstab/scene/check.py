@@ -1,6 +1,6 @@
 """The walls of a scene: verdict, margins, radius, settling and chatter, with proofs."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import permutations
 from math import inf, isinf, isnan, nan
@@ -12,13 +12,9 @@ from jaxstab.arrays import tree_map
 from jaxstab.conventions import Verdict
 from jaxstab.loop import FrequencyMargins as LoopFrequencyMargins
 from jaxstab.loop import Gains, HapticLoop
-from jaxstab.loop import Margins as LoopMargins
 from jaxstab.loop.frequency import wall_frequency_margins
-from jaxstab.motion import Amplitude as Amplitudes
-from jaxstab.motion import Oscillation as Mode
 from jaxstab.motion import Settling as MotionSettling
 from jaxstab.motion import SettlingStatus
-from jaxstab.point import SpectralRadius
 from jaxstab.rounding import EPS
 from jaxstab.scene.answers import (
     LABELS,
@@ -31,7 +27,6 @@ from jaxstab.scene.answers import (
 from jaxstab.scene.contact import Simulated, contacts_or_reasons
 from jaxstab.scene.limits import StableGains, stable_in_words
 from jaxstab.scene.loops import (
-    Floats,
     OneHand,
     WallVerdict,
     corner_loops,
@@ -175,36 +170,100 @@ def check_walls(scene: Scene, *, in_full: bool = True) -> GainAnswer:
 
 
 def _checked(wall: _Wall, felt: Simulated | str | None, *, in_full: bool) -> GainAnswer:
-    scene, is_unstable = wall.scene, wall.worst.verdict == Verdict.UNSTABLE
-    encoder, wanted, answers = scene.device.encoder, scene.wanted, dict[str, Any]()
-    options: dict[str, dict[str, Any]] = {
-        "frequency": {"in_full": wanted.frequency},
-        "chatter": {"encoder": encoder.resolution} if encoder else {},
-        "jitter": {"hands": hands_of(scene), "mass": masses_of(scene)},
-    }
-    of_worst = {"jitter": [replace(wall.worst_loop, delay=scene.controller.delays[0])]}
-    of_worst |= {} if scene.controller.moves else {"radius": [wall.worst_loop]}
-    printed = ["margins", "frequency", "settling", "chatter"] + ["jitter"] * scene.controller.moves
-    of_stable = [*printed, "jitter"] if not in_full else ["margins", "frequency", "jitter"]
-    reason = None
+    moves, reason = wall.scene.controller.moves, None
     if wall.worst.drifts:
         reason = "left out: nothing holds the position; limits --at-stiffness 0 gives the dampings"
-    elif scene.controller.moves and wall.worst.verdict != Verdict.STABLE:
+    elif moves and wall.worst.verdict != Verdict.STABLE:
         reason = "left out: they are of constant delays, but the delay moves"
-    for name, (method, summarise) in _MEASURES.items() if not reason else ():
-        is_known = name != "chatter" or encoder is not None
-        if name not in wanted.measures or not (is_known and (in_full or name in printed)):
-            continue
-        if not (is_unstable and name in of_stable):
-            loops = of_worst.get(name, wall.loops)
-            found = [method(loop, *wall.gains, **options.get(name, {})) for loop in loops]
-            each = tree_map(lambda *parts: np.stack(parts), *found)
-            answers |= summarise(wall, loops, each)
-        if name == "margins" and (in_full or not wall.worst.worst_delays):
-            answers |= _stable_around(wall)
-    measures = _measures_are(wall) if answers else reason if wanted.measures else None
+    answers = {} if reason else _measured(wall, in_full=in_full)
+    measures = _measures_are(wall) if answers else reason if wall.scene.wanted.measures else None
     values = {**wall.worst.values, "measures_are": measures, **answers, "simulated": felt}
     return GainAnswer(values, is_stable=wall.worst.is_stable)
+
+
+_HORIZON = 2**17  # samples within which settling is looked for
+
+
+def _measured(wall: _Wall, *, in_full: bool) -> dict[str, Any]:
+    """The requested measures of a wall, each the worst over the hands and delays of its loops."""
+    scene, controller, wanted = wall.scene, wall.scene.controller, wall.scene.wanted
+    printed = {"margins", "frequency", "settling", "chatter", *["jitter"] * controller.moves}
+    of_stable = {"margins", "frequency", "jitter"} if in_full else printed | {"jitter"}
+    asked = {name for name in wanted.measures if in_full or name in printed}
+    answers = dict[str, Any]()
+
+    def found(name: str, method: Any, loops: Any = wall.loops, **options: Any) -> Any:
+        """A measure for each loop, stacked; None where it is not asked for."""
+        is_left_out = wall.worst.verdict == Verdict.UNSTABLE and name in of_stable
+        if name not in asked or is_left_out:
+            return None
+        return tree_map(
+            lambda *parts: np.stack(parts),
+            *(method(loop, *wall.gains, **options) for loop in loops),
+        )
+
+    def hand(number: int) -> OneHand | None:
+        is_one = wall.worst.worst_hand is None
+        return None if is_one else held_by(wall.loops[number], scene)
+
+    if (margins := found("margins", HapticLoop.margins)) is not None:
+        # NaN, of a hand with which the wall is not stable, goes through.
+        for name in ("stiffness_gain", "damping_gain", "extra_delay"):
+            answers[name] = float(getattr(margins, name).min())
+    if "margins" in asked and (in_full or not wall.worst.worst_delays):
+        answers |= _stable_around(wall)
+    own = found("frequency", wall_frequency_margins, in_full=wanted.frequency)
+    if own is not None:
+        answers["margins_over_frequency"] = frequency_answer(own, in_full=wanted.frequency)
+    if (distance := found("distance", HapticLoop.boundary_distance)) is not None:
+        answers["distance_to_boundary"] = float(distance.min())
+    of_radius = wall.loops if controller.moves else [wall.worst_loop]
+    if (radius := found("radius", HapticLoop.spectral_radius, of_radius)) is not None:
+        worst = int(np.argmax(radius.value))
+        answers["spectral_radius"] = float(radius.value[worst])
+        answers["radius_error"] = float(radius.error[worst])
+    if (settlings := found("settling", _settlings)) is not None:
+        slowest = [_slowest(each) for each in settlings]
+        two, five = (
+            MotionSettling(each.value[number], each.status[number])
+            for number, each in zip(slowest, settlings, strict=True)
+        )
+        answers |= {
+            "settling_time_2_percent": settled(two),
+            "settling_time_5_percent": settled(five),
+            "settling_status": SettlingStatus(int(two.status)),
+            "slowest_hand": hand(slowest[0]),
+        }
+    if (modes := found("oscillation", HapticLoop.oscillation)) is not None:
+        ratios = np.asarray(modes.damping_ratio)
+        least = int(np.argmin(np.where(np.isnan(ratios), inf, ratios)))
+        answers |= {
+            "damping_ratio": float(ratios[least]),
+            "frequency": float(modes.frequency[least]),
+            "least_damped_hand": hand(least),
+        }
+    step = scene.device.encoder.resolution if scene.device.encoder else None
+    chatter = found("chatter", HapticLoop.amplitude, encoder=step) if step else None
+    if chatter is not None:
+        answers |= {
+            "chatter_at_most": float(chatter.position.max()),
+            "force_chatter_at_most": float(chatter.force.max()),
+            "force_per_count": float(chatter.force_per_count[0]),
+        }
+    # The range in which the delay may vary above that of the scene, with every hand.
+    shortest = [replace(wall.worst_loop, delay=controller.delays[0])]
+    hands, mass = hands_of(scene), masses_of(scene)
+    jitter = found("jitter", HapticLoop.jitter_margin, shortest, hands=hands, mass=mass)
+    if jitter is not None:
+        extra, words = float(jitter[0]), list[str]()
+        if not controller.has_one_delay:  # the margin of the shortest, rounded down, less the range
+            low, high = controller.delays
+            spent = high - low + controller.lost_samples * controller.sample_time
+            extra = max(extra * (1.0 - 8.0 * EPS) - spent * (1.0 + 8.0 * EPS), 0.0)
+            words.append("beyond the range")
+        words += ["proved for every hand"] * (extra > 0.0 and hands is not None)
+        answers |= {"extra_delay_moving": extra or nan, "moving_is": ", ".join(words) or None}
+    return answers
 
 
 def _walls_of(scene: Scene) -> list[_Wall]:
@@ -228,10 +287,6 @@ def _measures_are(wall: _Wall) -> str | None:
     return f"the worst of {loops} {' and '.join(kinds)}{lost}" if loops > 1 or lost else None
 
 
-def _hand_of(wall: _Wall, loop: HapticLoop) -> OneHand | None:
-    return None if wall.worst.worst_hand is None else held_by(loop, wall.scene)
-
-
 def _stable_around(wall: _Wall) -> dict[str, Any]:
     """The stable values of one gain at the other one, for all loops."""
     stable, rows = StableGains(wall.loops[0], besides=(*wall.loops[1:],)), dict[str, Any]()
@@ -244,13 +299,6 @@ def _stable_around(wall: _Wall) -> dict[str, Any]:
         except ValueError:
             rows[f"{own.name}_limits"] = "not resolved"
     return rows
-
-
-def _least_margins(_: _Wall, __: list[HapticLoop], margins: LoopMargins) -> dict[str, Any]:
-    """The change that each quantity allows alone: the least over the hands."""
-    names = "stiffness_gain", "damping_gain", "extra_delay"
-    # NaN, of a hand with which the wall is not stable, goes through.
-    return {name: float(getattr(margins, name).min()) for name in names}
 
 
 def frequency_answer(found: LoopFrequencyMargins, *, in_full: bool) -> FrequencyMargins:
@@ -272,26 +320,9 @@ def frequency_answer(found: LoopFrequencyMargins, *, in_full: bool) -> Frequency
     return FrequencyMargins(answer)
 
 
-def _radius(_: _Wall, __: list[HapticLoop], radius: SpectralRadius) -> dict[str, Any]:
-    worst = int(np.argmax(radius.value))
-    own = {"spectral_radius": radius.value, "radius_error": radius.error}
-    return {name: float(values[worst]) for name, values in own.items()}
-
-
-def _longest(
-    wall: _Wall, loops: list[HapticLoop], settlings: list[MotionSettling]
-) -> dict[str, Any]:
-    numbers = [_slowest(settling) for settling in settlings]
-    two, five = (
-        MotionSettling(settling.value[index], settling.status[index])
-        for index, settling in zip(numbers, settlings, strict=True)
-    )
-    return {
-        "settling_time_2_percent": settled(two),
-        "settling_time_5_percent": settled(five),
-        "settling_status": SettlingStatus(int(two.status)),
-        "slowest_hand": _hand_of(wall, loops[numbers[0]]),
-    }
+def _settlings(loop: HapticLoop, *gains: float) -> list[MotionSettling]:
+    """The times to settle to 2 % and to 5 %."""
+    return [loop.settling_time(*gains, level=level, horizon=_HORIZON) for level in (0.02, 0.05)]
 
 
 def _slowest(settling: MotionSettling) -> int:
@@ -309,62 +340,3 @@ def settled(settling: MotionSettling) -> float:
     if status == SettlingStatus.SETTLED:
         return float(settling.value)
     return inf if status == SettlingStatus.UNSTABLE else nan
-
-
-def _least_damped(wall: _Wall, loops: list[HapticLoop], modes: Mode) -> dict[str, Any]:
-    ratios = np.asarray(modes.damping_ratio)
-    index = int(np.argmin(np.where(np.isnan(ratios), inf, ratios)))
-    return {
-        "damping_ratio": float(ratios[index]),
-        "frequency": float(modes.frequency[index]),
-        "least_damped_hand": _hand_of(wall, loops[index]),
-    }
-
-
-def _chatter(_: _Wall, __: list[HapticLoop], amplitude: Amplitudes) -> dict[str, Any]:
-    return {
-        "chatter_at_most": float(amplitude.position.max()),
-        "force_chatter_at_most": float(amplitude.force.max()),
-        "force_per_count": float(amplitude.force_per_count[0]),
-    }
-
-
-def _jitter(wall: _Wall, _: list[HapticLoop], margin: Floats) -> dict[str, Any]:
-    """The range in which the delay may vary above that of the scene, with every hand."""
-    controller, extra = wall.scene.controller, float(margin[0])
-    if not controller.has_one_delay:  # the margin of the shortest, rounded down, less the range
-        low, high = controller.delays
-        spent = high - low + controller.lost_samples * controller.sample_time
-        extra = max(extra * (1.0 - 8.0 * EPS) - spent * (1.0 + 8.0 * EPS), 0.0)
-    words = ["beyond the range"] * (not controller.has_one_delay)
-    words += ["proved for every hand"] * (extra > 0.0 and hands_of(wall.scene) is not None)
-    return {"extra_delay_moving": extra or nan, "moving_is": ", ".join(words) or None}
-
-
-_HORIZON = 2**17  # samples within which settling is looked for
-
-
-_MEASURES: dict[str, tuple[Callable[..., Any], Callable[..., dict[str, Any]]]] = {
-    "margins": (HapticLoop.margins, _least_margins),
-    "frequency": (
-        wall_frequency_margins,
-        lambda wall, _, found: {
-            "margins_over_frequency": frequency_answer(found, in_full=wall.scene.wanted.frequency)
-        },
-    ),
-    "distance": (
-        HapticLoop.boundary_distance,
-        lambda *own: {"distance_to_boundary": float(own[-1].min())},
-    ),
-    "radius": (HapticLoop.spectral_radius, _radius),
-    "settling": (
-        lambda loop, *gains: [
-            loop.settling_time(*gains, level=level, horizon=_HORIZON) for level in (0.02, 0.05)
-        ],
-        _longest,
-    ),
-    "oscillation": (HapticLoop.oscillation, _least_damped),
-    "chatter": (HapticLoop.amplitude, _chatter),
-    "jitter": (HapticLoop.jitter_margin, _jitter),
-}
-"""The method of a loop that gives a measure, and how it is summarised over the hands."""
