@@ -315,7 +315,9 @@ def plan_study(
     gains = source.walls if walls is None else _checked_walls(walls)
     wanted = _wanted(answers, gains, source.answers)
     seconds = _seconds_of_a_loop(source, given, wanted, len(gains))
-    samples = _affordable(given, seconds) if samples is None else samples
+    if samples is None:  # those that take a minute
+        points = prod(len(own) for own in given.values() if not is_distribution(own))
+        samples = max(1, min(10_000, int(60.0 / (points * seconds))))
     columns, notes = _columns(source, given, checked_count("samples", samples, 1, 10_000_000), seed)
     notes = source.check(columns) + notes
     notes += [f"{key}: drawn from the range of the scene, {own}." for key, own in ranges.items()]
@@ -764,16 +766,14 @@ class _Source:
         return list(dict.fromkeys(notes))
 
 
-def _with(loop: HapticLoop, given: Mapping[str, Any]) -> HapticLoop:
+def _with(loop: Any, given: Mapping[str, Any]) -> Any:
     """Return a loop with other fields; ``delay_samples`` are of its sampling period."""
-    if not given:
-        return loop
     own = {**given}
     if "delay_samples" in own:
         if "delay" in own:
             raise ValueError("delay is given beside delay_samples; give one.")
         own["delay"] = own.pop("delay_samples") * own.get("sample_time", loop.sample_time)
-    return replace(loop, **own)
+    return replace(loop, **own) if own else loop
 
 
 def _ends(values: NDArray[Any], most: int) -> list[Any]:
@@ -800,12 +800,6 @@ def _seconds_of_a_loop(
         "spectral_radius": (2.5e-4, 7e-3),
     }
     return sum(costs[name][is_other] * (1 if name == "limits" else walls) for name in wanted)
-
-
-def _affordable(given: Mapping[str, Any], seconds: float) -> int:
-    """The number of draws that take a minute, at most 10,000."""
-    points = prod(len(own) for own in given.values() if not is_distribution(own))
-    return max(1, min(10_000, int(60.0 / (points * seconds))))
 
 
 def _time(seconds: float) -> str:
