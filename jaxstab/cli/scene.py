@@ -243,10 +243,11 @@ class _Row(NamedTuple):
     answer: Any  # None for a scene that was refused
     refusal: str
 
-    @property
-    def leaves(self) -> list[tuple[str, Any, str]]:
-        """The path, value and words of each number."""
-        return list(self.answer.leaves()) if self.answer else []
+    def cells(self, paths: list[str], index: int) -> list[Any]:
+        """The source, the values (0) or words (1) of an answer at paths, and the refusal."""
+        leaves = {path: leaf for path, *leaf in self.answer.leaves()} if self.answer else {}
+        own = (leaves[path][index] if path in leaves else "" for path in paths)
+        return [self.source, *own, self.refusal]
 
     def as_json(self) -> dict[str, Any]:
         """The answer, or the refusal, with the name of the scene."""
@@ -293,13 +294,14 @@ def _answer(
         one = partial(scene_figure, rows[0].scene, rows[0].answer)
         draw(one() if is_one else comparison_figure(answered), given["plot"])
     warn(*dict.fromkeys(words for row in rows if row.scene for words in row.scene.unusual()))
-    paths = list(dict.fromkeys(path for row in rows for path, *_ in row.leaves))
+    leaves = (leaf for row in rows if row.answer for leaf in row.answer.leaves())
+    paths = list(dict.fromkeys(path for path, *_ in leaves))
     if given["as_json"]:
         own = rows[0].answer.as_json() if is_one else [row.as_json() for row in rows]
         words = json.dumps(own, indent=1)
     else:
         words = shown(rows[0].answer) if is_one else _table(rows, paths)
-    cells = [["scene", *paths, "refusal"], *_cells(rows, 1, paths)]
+    cells = [["scene", *paths, "refusal"], *(row.cells(paths, 0) for row in rows)]
     print_with_csv(words, cells, given["csv_file"])
     refused = [row for row in rows if row.refusal]
     if refused:
@@ -344,21 +346,12 @@ def _computed(scene: Any, name: str, options: dict[str, Any]) -> Any:
         return getattr(jaxstab.scene, functions[name])(scene, **options)
 
 
-def _cells(rows: list[_Row], index: int, paths: list[str]) -> list[list[Any]]:
-    """The source of each scene, the values (1) or words (2) at paths, and the refusal."""
-    tables = [{leaf[0]: leaf[index] for leaf in row.leaves} for row in rows]
-    return [
-        [row.source, *(table.get(path, "") for path in paths), row.refusal]
-        for row, table in zip(rows, tables, strict=True)
-    ]
-
-
 def _table(rows: list[_Row], paths: list[str]) -> str:
     """Return the main numbers of each scene, in columns, or the reason why it was refused."""
     paths = list(filter(_is_main, paths))
     plain = (path.removeprefix("walls.").replace("_", " ").replace(".", ": ") for path in paths)
-    cells = _cells(rows, 2, paths)
-    return table_text([["scene", *plain, ""], *([*map(printable, row)] for row in cells)])
+    cells = (map(printable, row.cells(paths, 1)) for row in rows)
+    return table_text([["scene", *plain, ""], *map(list, cells)])
 
 
 def _is_main(path: str) -> bool:
