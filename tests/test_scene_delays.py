@@ -615,6 +615,22 @@ def test_measures_with_hands_are_the_worst_of_hands_and_delays() -> None:
     assert wall.stiffness_gain == pytest.approx(least, rel=1e-9)
 
 
+def test_measures_with_hands_are_the_worst_at_all_corners_of_constant_delays() -> None:
+    """They were those of the lightest hand at either delay, and of the hand that decays slowest."""
+    table = scene(delay=[T, 2.0 * T], delay_is="constant")
+    table["hand"] = {"mass": [0.0, 0.4], "stiffness": [0.0, 300.0]}
+    table["walls"] = {"a": {"stiffness": 500.0, "damping": 5.0}}
+    (wall,) = check_walls(Scene.from_table(table)).walls.values()
+    assert wall.measures_are == "the worst of 8 hands and constant delays"
+    names = "device_mass", "device_damping", "hand_mass", "hand_stiffness", "delay"
+    corners = product((0.1,), (0.05,), (0.0, 0.4), (0.0, 300.0), (T, 2.0 * T))
+    loops = [HapticLoop(sample_time=T, **dict(zip(names, own, strict=True))) for own in corners]
+    least = min(float(loop.margins(500.0, 5.0).stiffness_gain) for loop in loops)
+    phase = min(float(loop.frequency_margins(500.0, 5.0).phase.value) for loop in loops)
+    assert wall.stiffness_gain == pytest.approx(least, rel=1e-9)
+    assert wall.margins_over_frequency.phase_margin == pytest.approx(phase, rel=1e-9)
+
+
 def test_ranges_of_delays_are_rows_of_a_table(tmp_path: Path) -> None:
     file = tmp_path / "rows.csv"
     result = run("check", *MOVING, *ISSUE, "--csv", file)

@@ -32,7 +32,6 @@ from jaxstab.scene.loops import (
     corner_loops,
     hands_of,
     held_by,
-    loops_over_delays,
     masses_of,
     walls_of,
     with_delay,
@@ -267,10 +266,8 @@ def _measured(wall: _Wall, *, in_full: bool) -> dict[str, Any]:
 
 
 def _walls_of(scene: Scene) -> list[_Wall]:
-    loops = loops_over_delays(scene)
-    if hands_of(scene) and (scene.controller.has_one_delay or scene.controller.moves):
-        every = (corner_loops(with_delay(scene, loop.delay)) for loop in loops)
-        loops = list(dict.fromkeys([*loops, *(loop for corners in every for loop in corners)]))
+    constant = (with_delay(scene, delay) for delay in dict.fromkeys(scene.controller.delays))
+    loops = [loop for own in constant for loop in corner_loops(own)]
     gains = list(walls_of(scene).values())
     return [
         _Wall(scene, pair, list(dict.fromkeys([*loops, held])), verdict, held)
