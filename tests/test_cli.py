@@ -115,7 +115,7 @@ def test_a_picture_names_the_nodes_of_its_fields(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Fields between nodes were those of the nearest ones, without a word."""
-    from jaxstab.pictures import atlas as pictures
+    from jaxstab.pictures import plane as pictures
 
     monkeypatch.setattr(pictures, "picture", lambda figure, _: figure.get_suptitle().encode())
     opened = jaxstab.open_atlas(path)

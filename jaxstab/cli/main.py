@@ -21,23 +21,8 @@ import click
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import jaxstab
+from jaxstab.cli import plane, scene, study
 from jaxstab.cli.interrupt import prompt_interrupts
-from jaxstab.cli.plane import build, figure, info, plot, query, region, spec, verify
-from jaxstab.cli.scene import (
-    check,
-    contact,
-    design,
-    explore,
-    guard,
-    identify,
-    joints,
-    limits,
-    scene,
-    sentence_of,
-    tune,
-    warn,
-)
-from jaxstab.cli.study import study
 from jaxstab.shown import printable
 
 
@@ -56,7 +41,7 @@ class OneSentence(click.Group):
                 raise OSError("stdout is closed; redirect it to a file, or to /dev/null.")
             with prompt_interrupts(), warnings.catch_warnings():
                 warnings.filterwarnings("ignore", "delay is ")  # scenes say so themselves
-                warnings.showwarning = lambda words, *_, **__: warn(str(words).rstrip("."))
+                warnings.showwarning = lambda words, *_, **__: scene.warn(str(words).rstrip("."))
                 code = run()
             stdout.flush()
         except click.ClickException as error:
@@ -73,7 +58,7 @@ class OneSentence(click.Group):
             _drop(sys.stderr)
             sys.exit(2)
         except OSError as error:
-            _fail(f"jaxstab: {sentence_of(error)}")
+            _fail(f"jaxstab: {scene.sentence_of(error)}")
         except (ValueError, TypeError, RuntimeError, MemoryError) as error:
             _fail(f"jaxstab: {str(error) or 'there is not enough memory.'}")
         except Exception:  # noqa: BLE001  a fault of ours, which says nothing of a wall
@@ -144,9 +129,11 @@ def _drop(stream: Any) -> None:
 
 
 _COMMANDS = (
-    *(limits, check, contact, tune, design, study),
-    *(joints, scene, identify, explore, guard, region, figure),
+    *(scene.limits, scene.check, scene.contact, scene.tune, scene.design, study.study),
+    *(scene.joints, scene.scene, scene.identify, scene.explore, scene.guard),
+    *(plane.region, plane.figure),
 )
+_OF_ATLASES = plane.spec, plane.build, plane.info, plane.verify, plane.query, plane.plot
 
 
 @click.group(cls=OneSentence, commands=_COMMANDS)
@@ -155,6 +142,6 @@ def main() -> None:
     """Stability of haptic rendering loops."""
 
 
-@main.group(commands=(spec, build, info, verify, query, plot))
+@main.group(commands=_OF_ATLASES)
 def atlas() -> None:
     """Build, inspect, verify, query and plot atlases: limits and fields at nodes, in one file."""

@@ -16,14 +16,7 @@ from jaxstab.loop.frequency import wall_frequency_margins
 from jaxstab.motion import Settling as MotionSettling
 from jaxstab.motion import SettlingStatus
 from jaxstab.rounding import EPS
-from jaxstab.scene.answers import (
-    LABELS,
-    GainAnswer,
-    Part,
-    Quantity,
-    basis_of,
-    line,
-)
+from jaxstab.scene.answers import LABELS, GainAnswer, Part, Quantity, basis_of, line
 from jaxstab.scene.contact import Simulated, contacts_or_reasons
 from jaxstab.scene.limits import StableGains, stable_in_words
 from jaxstab.scene.loops import (

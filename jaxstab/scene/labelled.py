@@ -19,13 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from jaxstab.durable import (
-    is_memory_short,
-    named_errors,
-    replacing,
-    require_no_output,
-    write_all,
-)
+from jaxstab.durable import is_memory_short, named_errors, replacing, require_no_output, write_all
 
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset

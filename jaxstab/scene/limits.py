@@ -21,14 +21,7 @@ from jaxstab.exact.line import End
 from jaxstab.loop import Gain, Gains, HapticLoop, WallLimits
 from jaxstab.model import Velocity
 from jaxstab.region import RegionStatus
-from jaxstab.scene.answers import (
-    Answer,
-    GainAnswer,
-    Quantity,
-    basis_of,
-    formats_of,
-    printed_wall,
-)
+from jaxstab.scene.answers import Answer, GainAnswer, Quantity, basis_of, formats_of, printed_wall
 from jaxstab.scene.loops import (
     BUT_FOR_DRIFT,
     Floats,
