@@ -195,7 +195,10 @@ class Device(t.Table):
                 "a line, or inertia for one that turns."
             )
         if self.mass is None and self.inertia is None:
-            raise ValueError(self._no_mass())
+            raise ValueError(
+                f"mass is missing; give it {self.asked('mass')}, or inertia "
+                f"{self.asked('inertia')} for a device that turns."
+            )
         for index, mode in enumerate(self.modes):
             if (mode.modal_inertia is None) != (self.inertia is None):
                 own, other = ("mass", "inertia") if self.inertia is None else ("inertia", "mass")
@@ -209,8 +212,6 @@ class Device(t.Table):
         """Take the values that are missing in the table from its preset."""
         preset = presets("devices").get(str(table["preset"])) if "preset" in table else None
         if preset is None:
-            if not {"preset", "mass", "inertia"} & {*table}:
-                raise ValueError(cls._no_mass())
             return table  # a preset that is not known is refused
         defaults = preset.values(("mass", "damping"))
         if "mass" not in {*defaults, *table}:
@@ -219,13 +220,6 @@ class Device(t.Table):
                 f"it {cls.asked('mass')}."
             )
         return {**defaults, **table}
-
-    @classmethod
-    def _no_mass(cls) -> str:
-        return (
-            f"mass is missing; give it {cls.asked('mass')}, or inertia {cls.asked('inertia')} for "
-            "a device that turns."
-        )
 
     @property
     def units(self) -> Units:
