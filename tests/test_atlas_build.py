@@ -19,7 +19,7 @@ from commands import START, run
 from jaxstab import AtlasSpec, FieldSpec, build_atlas, open_atlas
 from jaxstab.atlas import build
 from jaxstab.atlas.build import verify_atlas, write_atlas
-from jaxstab.cli.interrupt import processes
+from jaxstab.cli.options import processes
 
 TINY = AtlasSpec(gamma=[0.0], delta=[0.015], delay=[0.0, 0.1], rows=5)
 LONG = AtlasSpec(gamma=np.linspace(0.0, 1e-3, 9), delta=np.linspace(0.0, 0.015, 9))

@@ -14,7 +14,7 @@ import pytest
 from campaign import many
 from commands import START
 
-from jaxstab.cli.interrupt import processes, prompt_interrupts
+from jaxstab.cli.options import processes, prompt_interrupts
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 
@@ -63,7 +63,7 @@ def test_51_an_error_ends_workers_at_once_whatever_they_compute() -> None:
 
 SUDDEN_END = """
 import os
-from jaxstab.cli.interrupt import processes
+from jaxstab.cli.options import processes
 
 with processes(1) as pool:
     pool.submit(abs, 1).result()

@@ -12,7 +12,7 @@ import pytest
 from problems import PROBLEMS
 
 import jaxstab
-from jaxstab.cli.interrupt import processes
+from jaxstab.cli.options import processes
 from jaxstab.model import by_name
 
 DELAY = 0.0  # one, for each is compiled in each process

@@ -19,7 +19,7 @@ from scipy import stats
 
 import jaxstab
 from jaxstab import HapticLoop, Verdict
-from jaxstab.cli.interrupt import processes
+from jaxstab.cli.options import processes
 from jaxstab.pictures.study import study_figure
 from jaxstab.results import RegionStatus
 from jaxstab.scene import Scene, labelled, loop_of

@@ -22,7 +22,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import jaxstab
 from jaxstab.cli import plane, scene, study
-from jaxstab.cli.interrupt import prompt_interrupts
+from jaxstab.cli.options import prompt_interrupts
 from jaxstab.shown import printable
 
 
