@@ -191,17 +191,15 @@ def sentence_of(error: OSError) -> str:
 def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
     from jaxstab.tables import value_of, with_value
 
-    keys, velocity, period = _keys(), ("controller", "velocity"), ("controller", "sample_time")
-    chosen = {path: given.get(option) for option, (path, _) in keys.items()}
-    chosen = {path: value for path, value in chosen.items() if value is not None}
-    options = {".".join(path): option for option, (path, _) in keys.items() if path in chosen}
-    rate = given.get("rate")
+    period, rate = ("controller", "sample_time"), given.get("rate")
+    options = {path: name for name, (path, _) in _keys().items() if given.get(name) is not None}
+    chosen: dict[tuple[str, ...], Any] = {path: given[name] for path, name in options.items()}
     if rate is not None:
         if not 0.0 < rate < inf:
             raise click.UsageError(f"--rate is {rate:g}; give a finite number > 0 in Hz.")
         if period in chosen:
             raise click.UsageError(f"--rate is {rate:g} beside --sample-time; give one of them.")
-        chosen[period], options[".".join(period)] = 1.0 / rate, "rate"
+        chosen[period], options[period] = 1.0 / rate, "rate"
     walls = [*given.get("wall", ())]
     if given.get("gains"):
         table = {name: own for name, own in table.items() if name != "walls"}
@@ -212,7 +210,7 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
         chosen["walls", name] = {"stiffness": stiffness, "damping": damping}
     own = {path[1] for path in chosen if path[0] == "controller"}
     if "velocity" in own:  # in place of all that the file says
-        table = with_value(table, ".".join(velocity), {}, velocity)
+        table = with_value(table, "controller.velocity", {}, ["controller", "velocity"])
     for path, value in chosen.items():
         table = with_value(table, ".".join(path), value, path)
     if {"delay", "delay_samples"} & own:  # in either unit
@@ -223,12 +221,11 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
             if key in own or "delay" not in key or value == is_kept
         }
     for name, value in given.get("set", {}).items():
-        if name in options:
-            raise click.UsageError(
-                f"--set {name} is given beside --{options[name].replace('_', '-')}; give one of "
-                "them."
-            )
-        table = with_value(table, name, value_of(value), name.split("."))
+        path = (*name.split("."),)
+        if path in options:
+            option = options[path].replace("_", "-")
+            raise click.UsageError(f"--set {name} is given beside --{option}; give one of them.")
+        table = with_value(table, name, value_of(value), path)
     return table
 
 
