@@ -76,18 +76,14 @@ class Quantity:
         ends = value if isinstance(value, tuple) else (value,)
         if any(map(isnan, ends)):
             return self.absent
-        factor, prefix = self._prefix(max(map(abs, ends)))
+        size, sizes = max(map(abs, ends)), _PREFIXES if self.unit in ("s", "m") else ()
+        factor, prefix = next(((own, name) for least, own, name in sizes if size >= least), (1, ""))
         if isinstance(value, tuple):
             text = self._interval(value, factor)
         else:
             text = self._text(value, self.rounding, self.digits, factor)
         unit = f"{prefix}{units.length if self.unit == 'm' else units.unit(self.unit)}"
         return f"{text} {unit}" if unit and text[-1].isdigit() else text
-
-    def _prefix(self, size: float) -> tuple[int, str]:
-        if self.unit not in ("s", "m"):
-            return 1, ""
-        return next(((factor, name) for least, factor, name in _PREFIXES if size >= least), (1, ""))
 
     def _interval(self, ends: tuple[float, float], factor: int) -> str:
         low, high = ends

@@ -206,24 +206,27 @@ def brief(answer: GainAnswer, *, islands: bool = False) -> str:
     values, hand = answer.values, answer.values.get("hand")
     kind = "wall" if "walls" in values else "gains"
 
-    def limit(key: str, names: Iterable[str], *more: str | None) -> str:
-        own, *at = (said[path] for name in names if (path := f"{key}.{name}") in said)
+    def limit(key: str, found: GainAnswer, *more: str | None) -> str:
+        paths = (f"{key}.{name}" for name in [*found.values][:2])
+        own, *at = (said[path] for path in paths if path in said)
         words = [" at ".join([own, *at]), *filter(None, more)]
         return ", ".join(words) if own != Quantity.absent else f"no stable {kind}"
 
     for key, found in values.items():
         names = [*found.values] if isinstance(found, GainAnswer) else []
         first, second, *_ = *names, "", ""
-        if key == "safety" and found is not None:
+        if not found:
+            continue
+        if key == "safety":
             lines["safety factor"] = f"{said[key]}, applied to every limit"
-        elif key in ("limits", "reached") and found:
+        elif key in ("limits", "reached"):
             lines["note"] = found
-        elif key == "all_hands" and found:
-            lines["for all hands"] = limit(key, (first, second), found.certainty)
+        elif key == "all_hands":
+            lines["for all hands"] = limit(key, found, found.certainty)
         elif key == "best" or ("best" not in values and first.startswith(("largest_", "least_"))):
             more = said.get(f"{key}.certainty"), hand and f"hand {hand.removesuffix(_SEE_BELOW)}"
-            lines[first.replace("_", " ")] = limit(key, (first, second), *more)
-        elif key.startswith("at_given_") and found:
+            lines[first.replace("_", " ")] = limit(key, found, *more)
+        elif key.startswith("at_given_"):
             own = second.removesuffix("_limits")
             ends = f"{said[f'{key}.{second}_low']} at {said[f'{key}.{first}']}"
             lines[f"stable {own}"] = ends + others_in_words(f"{key}.other_{own}", said)
@@ -233,8 +236,7 @@ def brief(answer: GainAnswer, *, islands: bool = False) -> str:
         elif key == "islands":
             for name, island in found.items():
                 if islands:
-                    words = limit(f"islands.{name}", [*island.values][:2], island.reached)
-                    lines[f"island {name}"] = words
+                    lines[f"island {name}"] = limit(f"islands.{name}", island, island.reached)
                 elif island.largest_stiffness > 0.0 and island.at_damping >= 0.0:
                     words = "stable walls that are not connected to zero gains: see --islands"
                     lines["islands"] = words
