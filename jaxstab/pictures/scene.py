@@ -585,7 +585,7 @@ def scene_contacts(scene: Scene) -> Figure:
     walls = walls_around(loop, 60, gains.values())  # along each axis
     (push, speed), contact = scene.start, simulated_map(scene, *walls)
     force = Quantity("N")
-    words = f"push {force.words(push, units)}, speed {speed:g} {units.length}/s, "
+    words = f"push {force.words(push, units)}, speed {speed:g} {units.speed}, "
     words += f"friction {force.words(scene.device.friction, units)}\n"
     assert scene.contact is not None  # else nothing is simulated
     words += "one-sided wall" if scene.contact.one_sided else "wall that also pulls"

@@ -326,7 +326,5 @@ def _slowest(settling: MotionSettling) -> int:
 
 def settled(settling: MotionSettling) -> float:
     """Return a settling time in s; infinite for an unstable loop, NaN where none is proved."""
-    status = int(settling.status)
-    if status == SettlingStatus.SETTLED:
-        return float(settling.value)
-    return inf if status == SettlingStatus.UNSTABLE else nan
+    known = {SettlingStatus.SETTLED: float(settling.value), SettlingStatus.UNSTABLE: inf}
+    return known.get(SettlingStatus(int(settling.status)), nan)

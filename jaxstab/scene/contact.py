@@ -144,7 +144,7 @@ def _conditions(scene: Scene) -> dict[str, Any]:
     if scene.contact is None:
         raise ValueError(
             f"contact is missing; give contact.push in {scene.units.force}, or contact.speed in "
-            f"{scene.units.length}/s (on the command line --push or --speed)."
+            f"{scene.units.speed} (on the command line --push or --speed)."
         )
     device, controller, given = scene.device, scene.controller, scene.contact
     push, speed = scene.start
@@ -174,7 +174,7 @@ def walls_around(
 
 def _simulated(scene: Scene, contact: Contact, start: tuple[float, float, float]) -> Simulated:
     push, speed, phase = start
-    words = [f"at {speed:g} {scene.units.length}/s"] if speed else []
+    words = [f"at {speed:g} {scene.units.speed}"] if speed else []
     words += [f"pushed with {Quantity('N').words(push, scene.units)}"] if push else []
     if scene.device.encoder:
         words.append(f"encoder at {phase:g} of a step")

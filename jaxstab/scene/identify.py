@@ -792,6 +792,6 @@ def identified_scene(device: Identified, units: Units, source: str) -> str:
     ]
     if device.friction.value:
         speed = float(np.std(np.diff(device.fitted, axis=1))) / period
-        words = f"{units.length}/s, of simulated contacts; that of the log"
+        words = f"{units.speed}, of simulated contacts; that of the log"
         lines += ["", "[contact]", f"speed = {speed:.2g}  # {words}"]
     return "\n".join([*lines, ""])

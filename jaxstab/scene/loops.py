@@ -125,15 +125,9 @@ def device_of(scene: Scene, hand: OneHand | None = None) -> Device:
     """Return the device with its modes and its actuator, held by a hand; as ``loop_of``."""
     hand = hand or _lowest_hand(scene)
     table = scene.device
+    names = "frequency", "damping_ratio", "motor", "encoder", "handle"
     modes = [
-        Mode(
-            frequency=mode.frequency,
-            damping_ratio=mode.damping_ratio,
-            modal_mass=mode.effective_mass,
-            motor=mode.motor,
-            encoder=mode.encoder,
-            handle=mode.handle,
-        )
+        Mode(modal_mass=mode.effective_mass, **{name: getattr(mode, name) for name in names})
         for mode in table.modes
     ]
     mass, damping = hand.device_mass or table.effective_mass[0], table.effective_damping

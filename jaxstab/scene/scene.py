@@ -22,18 +22,17 @@ from jaxstab.shown import shortened
 
 
 class Units(Enum):
-    """The units of mass, stiffness, damping, length, force, and the word for the moved mass."""
+    """The units of mass, stiffness, damping, length, force, speed, an integrator; what moves."""
 
-    LINE = "kg", "N/m", "N s/m", "m", "N", "mass"
-    ROTATION = "kg m^2", "N m/rad", "N m s/rad", "rad", "N m", "inertia"
+    LINE = "kg", "N/m", "N s/m", "m", "N", "m/s", "N/(m s)", "mass"
+    ROTATION = "kg m^2", "N m/rad", "N m s/rad", "rad", "N m", "rad/s", "N m/(rad s)", "inertia"
 
     def __init__(self, *words: str) -> None:
-        self.kilogram, self.stiffness, self.damping, self.length, self.force, self.moved = words
+        self.kilogram, self.stiffness, self.damping, self.length, self.force = words[:5]
+        self.speed, _, self.moved = words[5:]
 
     def unit(self, of_line: str) -> str:
         """Return the unit that replaces one of linear motion."""
-        if of_line in ("m/s", "N/(m s)"):
-            return f"{self.length}/s" if of_line == "m/s" else f"{self.force}/({self.length} s)"
         return dict(zip(Units.LINE.value, self.value, strict=True)).get(of_line, of_line)
 
     def translated(self, sentence: str) -> str:
