@@ -60,10 +60,8 @@ def simulate_contacts(scene: Scene) -> GainAnswer:
     scene.require_walls()
     walls = contacts_of(scene)
     rest = all(wall.contact == ContactKind.RESTS for wall in walls.values())
-    inputs = basis_of(scene, at_longest=True)
-    return GainAnswer(
-        {"inputs": inputs, "friction": scene.device.friction, "walls": walls}, is_stable=rest
-    )
+    values = {"inputs": basis_of(scene, at_longest=True), "friction": scene.device.friction}
+    return GainAnswer(values | {"walls": walls}, is_stable=rest)
 
 
 def contacts_of(scene: Scene) -> dict[str, Simulated]:
@@ -86,9 +84,8 @@ def contacts_of(scene: Scene) -> dict[str, Simulated]:
         ContactKind.PUSHED_THROUGH,
     )
     ranks = np.argsort(worst_last)
-    is_thrown = (contact.kind == ContactKind.OUTSIDE) & (
-        given["push"] > 0.0
-    )  # further than what returns
+    # Thrown out against a push: further than what returns.
+    is_thrown = (contact.kind == ContactKind.OUTSIDE) & (given["push"] > 0.0)
     rank = np.where(is_thrown, ranks[ContactKind.BOUNCES - 1], ranks[contact.kind - 1])
     order = (contact.time_to_rest, contact.amplitude, rank)
     worst = np.lexsort(np.nan_to_num(order, posinf=np.finfo(float).max), axis=-1)[:, -1]
