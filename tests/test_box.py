@@ -189,3 +189,15 @@ def test_a_search_samples_where_a_proof_fails_before_it_pulls_further() -> None:
     nothing = Guess(np.zeros((0, 2)))
     for known in (nothing, None):  # no walls are allowed, or it is not known which
         assert search(lambda _, it=known: it, disc.unproved, disc.add, [0.01]) == (known, False)
+
+
+def test_a_search_shares_its_proofs_among_the_pulls(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each of 24 proofs may find a new loop that only just refutes the wall."""
+    monkeypatch.setattr(Disc, "add", lambda *_: True)
+    for proved_below, tried in ((0.97, 17), (0.5, 24)):
+        disc = Disc(proved_below)
+        disc.sample.append(0.3)
+        guess, is_proved = search(disc.guess, disc.unproved, disc.add, [0.01, 0.02, 0.04])
+        assert guess is not None
+        assert guess.walls.tolist() == [[0.96, 0.0]]
+        assert (disc.tried, is_proved) == (tried, proved_below > 0.96)

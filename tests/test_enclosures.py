@@ -22,6 +22,7 @@ from jaxstab.boxes.plant import (
     HeldDevice,
     _Aliases,
 )
+from jaxstab.model.device.parts import Ports, Shapes
 from jaxstab.rounding import ELEMENTARY, LINEAR_MODEL
 
 SHARP = 1.5
@@ -105,9 +106,18 @@ def test_sums_keep_what_their_terms_leave(numbers: tuple[float, ...]) -> None:
         (phasor, lambda x: mpmath.exp(-1j * x), -2.0),
         (sine, lambda x: 2 * mpmath.sin(x / 2), np.pi),
         (lambda x: sinc(x).value, lambda x: mpmath.sinc(x / 2), 0.0),
+        (lambda x: sinc(x).value, lambda x: mpmath.sinc(x / 2), 5e-4),
+        (lambda x: sinc(x).value, lambda x: mpmath.sinc(x / 2), 0.8),
         (lambda x: sinc(x).rate, lambda x: mpmath.diff(lambda y: mpmath.sinc(y / 2), x), 0.0),
+        (lambda x: sinc(x).rate, lambda x: mpmath.diff(lambda y: mpmath.sinc(y / 2), x), 0.8),
     ],
-    ids=["phasor", "phasor of a negative phase", "sine", "sinc", "its derivative"],
+    ids=[
+        "phasor",
+        "phasor of a negative phase",
+        "sine",
+        *("sinc" + where for where in ("", " beside 0", " far from 0")),
+        *("its derivative" + where for where in ("", " far from 0")),
+    ],
 )
 @pytest.mark.parametrize("half", [0.01, 0.05, 0.2])
 def test_the_rest_of_a_bent_function_is_attained(
@@ -178,6 +188,66 @@ def test_the_compliance_at_high_frequencies_is_nearly_attained(
         ]
         attained = np.max(w**2 * values)
         assert attained <= bound <= SHARP * attained
+
+
+BODIES = {
+    "modes": HeldDevice(
+        0.2,
+        0.3,
+        ((0.8, 0.05, 0.6), (1.5, 0.1, 2.0)),
+        (),
+        None,
+        shapes=(Shapes(1.0, -0.5, 0.7), Shapes(0.4, 1.0, -1.0)),
+    ),
+    "another system": HeldDevice(
+        0.0,
+        0.0,
+        (),
+        (),
+        None,
+        Ports(
+            (1.0, 0.5, 0.02, 0.01),
+            encoder=(0.0, 2.0, -0.3),
+            handle=(0.0, 1.0, -0.1),
+            encoder_by_hand=(0.0, -0.7, 0.2),
+            handle_by_hand=(0.0, 1.5, -0.5),
+            excess=(0.0, 0.0, 1.6, -0.2),
+        ),
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", BODIES)
+def test_bounds_of_responses_at_high_frequencies_are_nearly_attained(kind: str) -> None:
+    """-w^2 times the responses of a device alone, from sums of modes or quotients in s."""
+    device, mass, beyond = BODIES[kind], 0.5, 4.0
+    s = 1j * np.geomspace(beyond, 1e4, 2000)
+    for to, by in product(("encoder", "handle"), ("motor", "handle")):
+        if device.own is None:
+            true = 1.0 / (mass * s**2 + device.damping * s + device.stiffness)
+            for (w, ratio, moved), shapes in zip(device.modes, device.shapes or (), strict=True):
+                seen = getattr(shapes, to) * getattr(shapes, by)
+                true = true + seen / (moved * (s**2 + 2.0 * ratio * w * s + w**2))
+        else:
+            above = getattr(device.own, to + "_by_hand" * (by == "handle"))
+            true = np.polyval(above, s) / np.polyval(device.own.below, s)
+        light, off, most = device._response_bounds(mass, beyond, to, by)
+        assert s[-1] ** 2 * true[-1] == pytest.approx(light, rel=1e-3)
+        away, largest = np.max(abs(s**2 * true - light)), np.max(abs(s**2 * true))
+        assert away <= off
+        assert largest <= most
+        if device.own is not None or to == by:  # elsewhere modes take from each other
+            assert off <= 2.0 * away
+            assert most <= SHARP * largest
+
+
+def test_a_device_whose_motor_does_not_move_the_encoder_alone_is_not_passive() -> None:
+    """The force of a damper at the encoder could drive it: Re (s N/D) < 0 at some frequency."""
+    s = 1j * np.geomspace(1e-2, 1e2, 400)
+    one_point = HeldDevice(0.2, 0.3, ((0.8, 0.05, 0.6),), (), None)
+    for device in (one_point, *BODIES.values()):
+        above, below = device.parts(s, 0.5, Arms(0.0, 0.0, 0.0))
+        assert device.is_passive == (np.min((s * above / below).real) > 0.0)
 
 
 def test_no_compliance_is_known_where_some_mass_of_a_range_is_no_inertia() -> None:
