@@ -1,6 +1,7 @@
 """Boxes of a range, their budgets, and the search that proofs confirm, on closed-form curves."""
 
 from collections.abc import Sequence
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -91,6 +92,19 @@ def test_halves_cover_the_box_along_one_axis() -> None:
     low, high = halves.center - halves.half, halves.center + halves.half
     assert low.tolist() == [[0.0, 0.0], [1.0, 2.0]]
     assert high.tolist() == [[1.0, 1.0], [2.0, 3.0]]
+    assert halves.middles("theta", 1.0, 2.25).tolist() == [1.5, 2.25]
+
+
+def test_a_quantity_in_other_units_is_held_to_its_ends(rng: np.random.Generator) -> None:
+    """By exact fractions: (center +- half) unit, products that float64 rounds."""
+    center, half = rng.uniform(0.0, 1.0, (2, 40)) * [[0.0], [1.0]] + [[0.0], [0.1]]
+    boxes = ParameterBoxes(("x",), center[None], half[None], np.zeros(40, int))
+    for unit in rng.uniform(0.5, 2.0, 20).tolist():
+        made = boxes.along("x", unit)
+        for k in range(40):
+            reached = Fraction(float(made.slope[0, k])) + Fraction(float(made.rest[k]))
+            assert reached >= Fraction(float(half[k])) * Fraction(unit)
+            assert reached <= Fraction(float(half[k])) * Fraction(unit) * Fraction(1.0 + 1e-8)
 
 
 def test_one_stable_loop_is_needed_and_one_unstable_loop_is_enough(

@@ -217,10 +217,15 @@ BODIES = {
 }
 
 
-@pytest.mark.parametrize("kind", BODIES)
-def test_bounds_of_responses_at_high_frequencies_are_nearly_attained(kind: str) -> None:
+@pytest.mark.parametrize(
+    ("kind", "beyond"),
+    [("modes", 4.0), ("modes", 2.0), ("another system", 4.0), ("another system", 0.8)],
+)
+def test_bounds_of_responses_at_high_frequencies_are_nearly_attained(
+    kind: str, beyond: float
+) -> None:
     """-w^2 times the responses of a device alone, from sums of modes or quotients in s."""
-    device, mass, beyond = BODIES[kind], 0.5, 4.0
+    device, mass = BODIES[kind], 0.5
     s = 1j * np.geomspace(beyond, 1e4, 2000)
     for to, by in product(("encoder", "handle"), ("motor", "handle")):
         if device.own is None:
@@ -234,11 +239,37 @@ def test_bounds_of_responses_at_high_frequencies_are_nearly_attained(kind: str) 
         light, off, most = device._response_bounds(mass, beyond, to, by)
         assert s[-1] ** 2 * true[-1] == pytest.approx(light, rel=1e-3)
         away, largest = np.max(abs(s**2 * true - light)), np.max(abs(s**2 * true))
-        assert away <= off
-        assert largest <= most
-        if device.own is not None or to == by:  # elsewhere modes take from each other
+        assert away <= off < np.inf
+        assert largest <= most < np.inf
+        if beyond == 4.0 and (device.own is not None or to == by):  # else terms take from another
             assert off <= 2.0 * away
             assert most <= SHARP * largest
+        assert device._response_bounds(mass, 0.3, to, by)[1:] == (np.inf, np.inf)
+
+
+def test_a_response_that_falls_by_one_degree_has_no_bound() -> None:
+    own = Ports((1.0, 0.1, 0.2), *[(1.0, 2.0)] * 4, excess=(0.0, 0.0, 0.0))
+    device = HeldDevice(0.0, 0.0, (), (), None, own)
+    assert device._response_bounds(0.5, 9.0, "handle", "motor")[1:] == (np.inf, np.inf)
+
+
+def test_the_compliance_of_a_motor_that_moves_the_handle_more_is_bounded() -> None:
+    """w^2 |G_em - G_eh G_hm Z/(1 + Z G_hh)| over arms Z = m s^2 + b s + k; these are quotients."""
+    below, beyond, stiffest, damping = (1.0, 0.05, 0.01, 0.001), 20.0, 0.05, 0.02
+    limits = {"encoder": -1.0, "handle": 1.5, "encoder_by_hand": 3.5, "handle_by_hand": 2.25}
+    own = Ports(below, **{k: (0.0, x, 0.01) for k, x in limits.items()}, excess=(0.0, 0.0, 1.0))
+    device = HeldDevice(0.0, 0.0, (), (), None, own)
+    bound = device.largest_compliance((0.5, 0.5), (stiffest, damping), beyond)
+    s = 1j * np.geomspace(beyond, 1e4, 400)
+    encoder, handle, by_hand, there = (
+        np.polyval(above, s) / np.polyval(below, s) for above in own[1:5]
+    )
+    arms = product([0.0, 0.1, 1.0, 1e3], [damping, 1.0], [0.0, stiffest])
+    attained = max(
+        np.max(abs(s**2 * (encoder - by_hand * handle * arm / (1.0 + arm * there))))
+        for arm in (m * s**2 + b * s + k for m, b, k in arms)
+    )
+    assert attained <= bound <= 2.0 * attained
 
 
 def test_a_device_whose_motor_does_not_move_the_encoder_alone_is_not_passive() -> None:

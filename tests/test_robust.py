@@ -10,7 +10,7 @@ import pytest
 import jaxstab
 from benchmarks.truth import filtered
 from benchmarks.truth import loop as truth
-from jaxstab.boxes import HandRange, RobustStatus, robust_region
+from jaxstab.boxes import HandRange, RobustStatus, polygons, robust_region
 from jaxstab.boxes.hands import unproved_members
 from jaxstab.boxes.polygons import failures
 from jaxstab.conventions import Verdict
@@ -91,6 +91,15 @@ def test_of_one_hand_it_is_the_stable_region():
     assert robust.status == RobustStatus.PROVED
     assert np.all(np.asarray(stable.contains(*robust.outline.T)))
     assert robust.max_alpha[0] == pytest.approx(float(stable.max_alpha[0]), rel=0.02)
+
+
+def test_walls_that_are_unstable_for_all_hands_alike_are_not_proved():
+    """No root crosses the circle among them: one loop has to be proved stable, too."""
+    sample = polygons._Sample((0.2, 0.2), (0.3, 0.3), 0.0, None)
+    square = np.array([[-1.0, 0.1], [-0.9, 0.1], [-0.9, 0.2], [-1.0, 0.2]])
+    assert not len(failures(square, *sample.range, filters=None))
+    assert truth.unstable_count(-1.0, 0.1, 0.2, 0.3, 0.0) == 1
+    assert sample.unproved(square).tolist() == sample.hands[:1].tolist()
 
 
 @pytest.mark.campaign
