@@ -190,6 +190,7 @@ def test_the_compliance_at_high_frequencies_is_nearly_attained(
         assert attained <= bound <= SHARP * attained
 
 
+PLACES = "motor", "handle"
 BODIES = {
     "modes": HeldDevice(
         0.2,
@@ -217,6 +218,39 @@ BODIES = {
 }
 
 
+def responses(device: HeldDevice, mass: float, s: np.ndarray, to: str, by: str) -> np.ndarray:
+    """The response of a device alone: of its body and its modes, or a quotient in s."""
+    if device.own is not None:
+        above = getattr(device.own, to + "_by_hand" * (by == "handle"))
+        return np.polyval(above, s) / np.polyval(device.own.below, s)
+    sum_of_modes = 1.0 / (mass * s**2 + device.damping * s + device.stiffness)
+    every = device.shapes or (Shapes(),) * len(device.modes)
+    for (w, ratio, moved), shapes in zip(device.modes, every, strict=True):
+        seen = getattr(shapes, to) * getattr(shapes, by)
+        sum_of_modes = sum_of_modes + seen / (moved * (s**2 + 2.0 * ratio * w * s + w**2))
+    return sum_of_modes
+
+
+@pytest.mark.parametrize("shapes", [None, BODIES["modes"].shapes])
+@pytest.mark.parametrize("grip", [None, (0.3, 0.05)])
+def test_the_plant_is_that_of_its_parts(
+    shapes: tuple[Shapes, ...] | None, grip: tuple[float, float] | None, rng: np.random.Generator
+) -> None:
+    """G_em - G_eh G_hm Z/(1 + Z G_hh), Z of the arm behind the grip, at any s."""
+    device = BODIES["modes"]._replace(grip=grip, shapes=shapes, lags=(0.7, 2.0))
+    s, mass, arm = rng.normal(size=(2, 20)).T @ [1.0, 1j], 0.5, Arms(0.2, 0.4, 0.6)
+    held = arm.mass * s**2 + arm.damping * s + arm.stiffness
+    if grip is not None:
+        between = grip[0] + grip[1] * s
+        held = held * between / (held + between)
+    encoder, by_hand, handle, there = (
+        responses(device, mass, s, *way) for way in product(("encoder", "handle"), PLACES)
+    )
+    true = encoder - by_hand * handle * held / (1.0 + held * there)
+    true = true / ((1.0 + s / 0.7) * (1.0 + s / 2.0))
+    assert np.divide(*device.parts(s, mass, arm)) == pytest.approx(true, rel=1e-10)
+
+
 @pytest.mark.parametrize(
     ("kind", "beyond"),
     [("modes", 4.0), ("modes", 2.0), ("another system", 4.0), ("another system", 0.8)],
@@ -227,15 +261,8 @@ def test_bounds_of_responses_at_high_frequencies_are_nearly_attained(
     """-w^2 times the responses of a device alone, from sums of modes or quotients in s."""
     device, mass = BODIES[kind], 0.5
     s = 1j * np.geomspace(beyond, 1e4, 2000)
-    for to, by in product(("encoder", "handle"), ("motor", "handle")):
-        if device.own is None:
-            true = 1.0 / (mass * s**2 + device.damping * s + device.stiffness)
-            for (w, ratio, moved), shapes in zip(device.modes, device.shapes or (), strict=True):
-                seen = getattr(shapes, to) * getattr(shapes, by)
-                true = true + seen / (moved * (s**2 + 2.0 * ratio * w * s + w**2))
-        else:
-            above = getattr(device.own, to + "_by_hand" * (by == "handle"))
-            true = np.polyval(above, s) / np.polyval(device.own.below, s)
+    for to, by in product(("encoder", "handle"), PLACES):
+        true = responses(device, mass, s, to, by)
         light, off, most = device._response_bounds(mass, beyond, to, by)
         assert s[-1] ** 2 * true[-1] == pytest.approx(light, rel=1e-3)
         away, largest = np.max(abs(s**2 * true - light)), np.max(abs(s**2 * true))

@@ -137,6 +137,9 @@ def test_a_robust_region_with_a_window_holds_for_hands_that_certified_roots_judg
     window = jaxstab.Velocity.difference(samples=samples)
     region = robust_region(gamma=gamma, delta=delta, delay=delay, velocity=window)
     assert region.status == RobustStatus.PROVED
+    low, high = np.array([gamma, delta]).T
+    assert np.all((low <= region.hands) & (region.hands <= high))
+    assert np.ptp(region.hands, axis=0) == pytest.approx(high - low)
     hands = [(g, d) for g in gamma for d in delta] + list(
         zip(rng.uniform(*gamma, 2), rng.uniform(*delta, 2), strict=True)
     )
