@@ -188,16 +188,14 @@ def search(
     is, or after so many that each only just refuted a wall, the next one of the ``pulls`` is tried.
     """
     attempts = 24  # proofs of a search
-    index = 0
-    for attempt in range(1, attempts + 1):
-        current = guess(pulls[index])
-        if current is None or not len(current.walls):
-            return current, False
-        failed = unproved(current.walls)
-        if not len(failed):
-            return current, True
-        if not add(failed) or attempt % (attempts // len(pulls)) == 0:
-            index += 1
-            if index == len(pulls):
+    for pull in pulls:
+        for _ in range(attempts // len(pulls)):
+            current = guess(pull)
+            if current is None or not len(current.walls):
+                return current, False
+            failed = unproved(current.walls)
+            if not len(failed):
+                return current, True
+            if not add(failed):
                 break
     return current, False
