@@ -171,7 +171,8 @@ PATCHES = [0.01, 0.2, 0.6, 1.3, 2.2, 2.95, 3.12]
 
 
 @pytest.mark.parametrize(
-    ("grip", "modes"), [(None, ()), ((0.3, 0.05), ()), (None, ((0.8, 0.02, 0.6),))]
+    ("grip", "modes"),
+    [(None, ()), ((0.3, 0.05), ()), (None, ((0.8, 0.02, 0.6),))],
 )
 def test_the_compliance_at_high_frequencies_is_nearly_attained(
     grip: tuple[float, float] | None, modes: tuple[tuple[float, float, float], ...]
@@ -308,6 +309,16 @@ def test_a_device_whose_motor_does_not_move_the_encoder_alone_is_not_passive() -
         assert device.is_passive == (np.min((s * above / below).real) > 0.0)
 
 
+def test_the_compliance_of_a_hand_that_resonates_with_its_grip_is_bounded() -> None:
+    grip, beyond, damping = (4.0, 0.05), 10.0, 0.02
+    device = HeldDevice(0.01, 0.02, (), (), grip)
+    bound = device.largest_compliance((0.5, 0.5), (0.0, damping), beyond)
+    masses = np.linspace(0.5, 1.5, 201) * grip[0] / beyond**2
+    parts = device.parts(1j * beyond, 0.5, Arms(masses, 0.0, damping))
+    attained = np.max(beyond**2 * np.abs(np.divide(*parts)))
+    assert 1.1 / 0.5 < attained <= bound <= 2.5 * attained
+
+
 def test_no_compliance_is_known_where_some_mass_of_a_range_is_no_inertia() -> None:
     """A mode of negative mass: the heaviest device weighs less than nothing, and arms make it 0."""
     device = HeldDevice(0.01, 0.0, ((0.8, 0.02, -0.667),), (), None)
@@ -342,13 +353,14 @@ def test_the_sums_over_all_aliases_hold_the_true_ones() -> None:
     """Of a free mass, -e^(-2 pi i k d)/(m (theta + 2 pi k)^3), and their moduli times angles."""
     mass, delay, theta = 0.5, 0.3, np.array([0.05, 1.0, 3.0])
     boxes = object.__new__(DeviceBoxes)
-    boxes._device = HeldDevice(0.0, 0.0, (), (), None)
+    boxes._device, boxes._jitter = HeldDevice(0.0, 0.0, (), (), None), 0.4
     aliases = _Aliases.from_device(boxes._device, (mass, mass), (0.0, 0.0), 4, 3.0)
     place = ParameterBoxes((), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(3, int))
     none, *constants = (place.constant(value) for value in (0.0, mass, delay))
     angle_of = place.constant(theta)
     extent = Extent(*constants, Arms(none, none, none), none, none, angle_of)
     r, r_moduli = boxes._others(extent, aliases)
+    late = boxes._late(1.0, -mass * theta**2, r_moduli)  # lemma J3
     for k, angle in enumerate(theta.tolist()):
 
         def alias(turns: float, sign: int, power: int, angle: float = angle) -> mpmath.mpf:
@@ -362,6 +374,7 @@ def test_the_sums_over_all_aliases_hold_the_true_ones() -> None:
         )
         beyond = 1.0 / (mass * (2.0 * np.pi) ** 2 * 1000)
         assert moduli <= r_moduli[k] <= SHARP * (moduli + 2.0 * beyond)
+        assert 0.4 * (1.0 + mass * angle**2 * moduli) <= late[k]
         assert abs(r.centre[k] + complex(total)) <= r.rest[k] + beyond**2
 
 
