@@ -64,6 +64,7 @@ def test_what_does_not_vary_is_no_axis() -> None:
     theta = left.ends("theta")[0]
     assert np.allclose(theta, np.sqrt(RADIUS**2 - 0.36), rtol=0.0, atol=2.0**-19)
     assert left.middles("x", 0.6, 0.6).tolist() == [0.6] * theta.size
+    assert {*vars(HandRange()).values()} == {(0.0, 0.0)}
 
 
 def test_what_becomes_of_an_index_does_not_depend_on_the_others() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxstab
-from jaxstab.point.fields import _rounded_up
+from jaxstab.point.fields import _outwards, _rounded_up
 from jaxstab.point.radius import radius_error
 from jaxstab.point.traced_radius import _fitted
 from jaxstab.region.pieces import all_inside
@@ -119,3 +119,12 @@ def test_numbers_are_rounded_up_to_fewer_bits() -> None:
         rounded = np.asarray(_rounded_up(numbers, last))
         step = 2.0 ** (1 - count)
         assert rounded.tolist() == [float(np.ceil(x / step) * step) for x in numbers]
+
+
+def test_radii_in_float32_hold_those_of_float64() -> None:
+    """fields: those that float32 flushes to 0, too."""
+    radius = np.array([0.0, 1e-300, 1e-50, 1e-39, 1e-30, 0.7, 3.0])
+    for bound in (0.0, 1e-60, 1e-42, 1e-9):
+        upper, error = (np.asarray(x, float) for x in _outwards(radius, np.full(7, bound)))
+        assert np.all((upper >= radius + bound) & (upper - error <= radius - bound))
+        assert np.all(error[-2:] <= 8.0 * max(bound, 2.0**-24 * 4.0))

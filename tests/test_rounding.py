@@ -117,6 +117,47 @@ def test_coefficients_of_small_circles_are_within_their_errors(
                 assert abs(Fraction(float(end[0][k])) - value) <= Fraction(float(end[1][k]))
 
 
+@pytest.mark.parametrize("fraction", [0.0, 0.4])
+@pytest.mark.parametrize("plant_error", [0.0, 1e-9])
+def test_a_loop_on_another_circle_is_within_its_errors(fraction: float, plant_error: float) -> None:
+    """Lemma R1: p(r z) / r^n by exact fractions, for plants that are wrong by their errors."""
+    rng, count, degree = np.random.default_rng(7), 60, polynomial_degree(2.0 + fraction)
+    gamma, delta = rng.uniform(0.1, 4.0, (2, count))
+    plant = float_plant(gamma, delta, np.full(count, fraction), is_fractional=fraction > 0.0)
+    plant = plant._replace(error=np.full(count, plant_error))
+    alpha, beta = drawn(rng, 2, count)
+    t = rng.uniform(-0.9, 0.5, count)
+    loop = dominance.Loop(alpha, beta, gamma, plant)
+    chain, ends = dominance._circle(t, np.zeros(count), loop, degree)
+    worst = np.zeros(2)
+    for k in range(count):
+
+        def true(value: np.ndarray, most: float = 0.0, k: int = k) -> Fraction:
+            sign = Fraction(int(rng.choice([-1, 1])))
+            return Fraction(float(value[k])) + sign * Fraction(most * plant_error)
+
+        r, size = 1 + Fraction(float(t[k])), float(plant.size[k])
+        gap = true(plant.gap, 1.0)
+        walls = [
+            true(stiff, size) * true(alpha) - true(damp, 2.0 * size) * true(beta)
+            for stiff, damp in zip(plant.stiff, plant.damp, strict=True)
+        ]
+        tail = [wall / r ** (degree - n) for n, wall in enumerate(walls)]
+        head = [true(plant.d1, 1.0) / r, (1 - gap) / r**2]
+        pairs = [*zip(chain.head, head, strict=True), (chain.gap, (gap + r * r - 1) / r**2)]
+        pairs += zip(chain.tail, tail, strict=True)
+        away = [abs(Fraction(float(made[k])) - exact) for made, exact in pairs]
+        of_head, of_all = away[0] + 2 * away[1], sum(away[2:])
+        assert of_head <= Fraction(float(chain.head_error[k]))
+        assert of_all <= Fraction(float(chain.error[k]))
+        value = 1 - head[0] + head[1] + sum(c * (-1) ** (degree + n) for n, c in enumerate(tail))
+        apart = abs(Fraction(float(ends.at_minus_one[k])) - value)
+        assert apart <= Fraction(float(ends.at_minus_one_error[k]))
+        shares = of_head / chain.head_error[k], of_all / chain.error[k]
+        worst = np.maximum(worst, np.array(shares, float))
+    assert plant_error == 0.0 or np.all(worst > 0.5)
+
+
 @pytest.mark.parametrize("degree", [3, 12, 30])
 @pytest.mark.parametrize("root", [0.5, 4.0])
 def test_at_a_root_rounding_alone_is_the_distance(degree: int, root: float) -> None:
