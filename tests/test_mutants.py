@@ -2,13 +2,15 @@
 
 import jax
 import jax.numpy as jnp
+import mpmath
 import numpy as np
 import pytest
 
 import jaxstab
-from jaxstab.point.fields import _outwards, _rounded_up
+from jaxstab.point.fields import _mode, _outwards, _rounded_up
 from jaxstab.point.radius import radius_error
 from jaxstab.point.traced_radius import _fitted
+from jaxstab.point.verdicts import is_plant_lost
 from jaxstab.region.pieces import all_inside
 
 
@@ -128,3 +130,33 @@ def test_radii_in_float32_hold_those_of_float64() -> None:
         upper, error = (np.asarray(x, float) for x in _outwards(radius, np.full(7, bound)))
         assert np.all((upper >= radius + bound) & (upper - error <= radius - bound))
         assert np.all(error[-2:] <= 8.0 * max(bound, 2.0**-24 * 4.0))
+
+
+def test_a_plant_is_lost_next_to_whole_turns_within_a_sample() -> None:
+    """verdicts: N(1) = |1 - exp(-delta/2 + i rate)|^2 / gamma, by mpmath."""
+    rng = np.random.default_rng(12)
+    turns, way = 2.0 * np.pi * rng.integers(1, 5, 200), rng.uniform(-1.5, 1.5, 200)
+    away = rng.uniform(0.3, 1.7, 200) * 2.0**-12.5 * turns
+    delta, rate = 2.0 * away * np.cos(way), turns + away * np.sin(way)
+    gamma = rate**2 + 0.25 * delta**2
+    lost = [
+        abs(1 - mpmath.exp(mpmath.mpc(-d / 2, r))) ** 2 < 2**-25 * g
+        for d, r, g in zip(delta, rate, gamma, strict=True)
+    ]
+    assert 30 < sum(lost) < 170
+    assert is_plant_lost(gamma, delta).tolist() == lost
+
+
+def test_a_pole_is_shown_to_the_digits_that_its_bound_leaves() -> None:
+    """fields: 22 bits of its distances from 0 and from 1, or nothing."""
+    rng = np.random.default_rng(13)
+    decay, frequency = 10.0 ** rng.uniform(-6.0, 0.5, (2, 300))
+    frequency = np.minimum(frequency, 3.0)
+    radius, factor = np.exp(-decay), rng.choice([0.9, 1.1], 300)
+    bound = factor * 2.0**-22 * np.minimum(radius, np.hypot(decay, frequency))
+    shown, ratio = _mode(radius * np.exp(1j * frequency), radius, bound)
+    assert np.isnan(shown).tolist() == np.isnan(ratio).tolist() == (factor > 1.0).tolist()
+    known = factor < 1.0
+    assert shown[known] == pytest.approx(frequency[known], rel=1e-6, abs=2.0**-20)
+    true = (decay / np.hypot(decay, frequency))[known]
+    assert ratio[known] == pytest.approx(true, rel=1e-6, abs=2.0**-20)
