@@ -334,7 +334,11 @@ def test_a_stiffness_that_pushes_the_encoder_away_is_free_below_the_root_at_1(
     limit = arm.stiffness / (arm.stiffness / (0.05 * (20.0 * np.pi) ** 2) - 1.0)
     assert loop.stiffness_intervals(damping).intervals[0].high.value == pytest.approx(limit)
 
+    seen: list[Any] = []
+
     def extent(boxes: ParameterBoxes) -> Extent:
+        middle, by = boxes.ends(THETA)
+        seen.extend(zip(middle - by, middle + by, strict=True))
         one = boxes.constant
         in_samples = Arms(*map(one, (arm.mass, arm.stiffness * PERIOD**2, arm.damping * PERIOD)))
         gains = one(share * limit * PERIOD**2), one(damping * PERIOD)
@@ -346,6 +350,10 @@ def test_a_stiffness_that_pushes_the_encoder_away_is_free_below_the_root_at_1(
     never = FirstRow(lambda boxes: np.zeros(boxes.index.size, bool), walls)
     boxes = DeviceBoxes(loop.held_device, loop, (mass, mass), (1000.0, 30.0), extent, never)
     assert (paved(boxes.judged, 1, 2.0**-16).boxes.index.size == 0) == is_free
+    ends = np.array(sorted({*seen}))
+    until = np.maximum.accumulate(ends[:, 1])
+    assert ends[0, 0] < 0.0 < np.pi < until[-1]
+    assert np.all(ends[1:, 0] < until[:-1] - 1e-14)  # no angle is left between two boxes
 
 
 def test_a_wide_delay_is_halved_before_what_is_narrow() -> None:

@@ -286,8 +286,8 @@ def _over(c: Coefficients, theta: LinearModel) -> Moving:
     value, slope, bend, third = derivatives @ np.exp(-1j * np.multiply.outer(order, theta.centre))
     sizes = np.abs(powers)
     # Of coefficients, angles, exponentials and the sum, for the value and each derivative.
-    rounding = EPS * (sizes @ (c.size + 8.0 + 8.0 * order)) * RAISED_MANY
-    bounds = sizes.sum(axis=1) * RAISED_MANY
+    rounding = EPS * (sizes @ (c.size + 8.0 + 8.0 * order))
+    bounds = sizes.sum(axis=1)
 
     def model(k: int, own: np.ndarray, first: np.ndarray, second: np.ndarray) -> LinearModel:
         swing, rest = theta.swing, theta.rest

@@ -558,7 +558,7 @@ class DeviceBoxes:
         return Moving(one, theta.constant(0.0)), Moving(1.0 - back, back * 1j)
 
     def _others(self, place: Extent, aliases: "_Aliases") -> tuple[LinearModel, np.ndarray]:
-        """Return R, and a bound of R'."""
+        """Return R, and a bound of R'; ``_late`` counts the rounding of that sum."""
         discs = place.as_discs()
         total = _widened(place.theta.constant(0.0 + 0.0j), aliases.tail)
         moduli = np.full(place.theta.centre.shape, aliases.tail_of_moduli)
@@ -572,7 +572,7 @@ class DeviceBoxes:
             slope = np.where(is_known, alias.slope, 0.0)
             alias = LinearModel(centre, slope, np.where(is_known, alias.rest, most))
             total = total + on_axes_of(alias, total)
-        return total, moduli * RAISED_MUCH
+        return total, moduli
 
     def _alias(self, place: Extent, turns: int) -> LinearModel:
         angle = place.theta + 2.0 * pi * turns
