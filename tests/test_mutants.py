@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import jaxstab
+from benchmarks.truth import loop as truth
 from jaxstab.point.fields import _mode, _outwards, _rounded_up
 from jaxstab.point.radius import radius_error
 from jaxstab.point.traced_radius import _fitted
@@ -160,3 +161,13 @@ def test_a_pole_is_shown_to_the_digits_that_its_bound_leaves() -> None:
     assert shown[known] == pytest.approx(frequency[known], rel=1e-6, abs=2.0**-20)
     true = (decay / np.hypot(decay, frequency))[known]
     assert ratio[known] == pytest.approx(true, rel=1e-6, abs=2.0**-20)
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.0])
+def test_walls_without_stiffness_are_small_gains_of_an_undamped_device(delay: float) -> None:
+    """stable_set: held by a spring alone, it is stable with damping, not with as much stiffness."""
+    region = jaxstab.stable_region(gamma=1e-3, delta=0.0, delay=delay)
+    assert truth.unstable_count(1e-14, 1e-8, 1e-3, 0.0, delay) == 0
+    assert truth.unstable_count(1e-8, 1e-14, 1e-3, 0.0, delay) > 0
+    assert region.main is not None
+    assert region.main.area == region.area

@@ -7,6 +7,7 @@ is compared with what its lemma says.
 from fractions import Fraction
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -16,7 +17,7 @@ from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.point import dominance, fields, radius
 from jaxstab.point.dominance import Complex
 from jaxstab.point.radius import scaled_codes
-from jaxstab.point.schur_cohn import Chain, _step, loop_coefficients
+from jaxstab.point.schur_cohn import Chain, _quotient, _step, loop_coefficients
 from jaxstab.point.verdicts import _ends, float_plant
 from jaxstab.rounding import UNIT
 
@@ -59,6 +60,16 @@ def test_a_step_rounds_by_no_more_than_lemma_v3_says() -> None:
         dropped = abs(v0 - ratio * (g + u2))
         assert away[0] + 2 * away[1] <= Fraction(float(after.head_error[k]))
         assert sum(away[2:]) + dropped <= Fraction(float(after.error[k]))
+
+
+@pytest.mark.parametrize("is_alone", [False, True])
+def test_a_ratio_of_jax_is_right_to_three_roundings(is_alone: bool) -> None:
+    """Lemma V2: what a step drops counts on it, for divisors of either sign."""
+    dividend, divisor = drawn(np.random.default_rng(8), 2, COUNT)
+    made = np.asarray(_quotient(jnp.array(dividend), jnp.array(divisor), is_alone=is_alone))
+    for a, b, c in zip(dividend.tolist(), divisor.tolist(), made.tolist(), strict=True):
+        true = Fraction(a) / Fraction(b)
+        assert abs(Fraction(c) - true) <= 3 * Fraction(UNIT) * abs(true)
 
 
 def test_values_at_minus_one_are_within_their_errors() -> None:
