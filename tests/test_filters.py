@@ -497,6 +497,10 @@ def test_regions_have_their_islands(velocity: Velocity, delay: float, areas: lis
     assert float(region.main.area) == float(region.components[0].area)
     assert len(region.islands) == len(areas) - 1
     assert sum(len(one.corners) for one in region.components) == len(region.corners)
+    assert sum(len(one.points) for one in region.components) == len(region.points)
+    for one in region.components:
+        assert np.array_equal(one.points[0], one.points[-1])
+        assert len(one.branch) == len(one.points) - 1
     assert float(region.area) == pytest.approx(sum(float(one.area) for one in region.components))
 
 
