@@ -171,3 +171,16 @@ def test_walls_without_stiffness_are_small_gains_of_an_undamped_device(delay: fl
     assert truth.unstable_count(1e-8, 1e-14, 1e-3, 0.0, delay) > 0
     assert region.main is not None
     assert region.main.area == region.area
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.5, 2.0])
+def test_a_wall_on_the_boundary_is_not_inside(delay: float) -> None:
+    """measures: at alpha = -gamma a root is at 1, and balls leave open on which side it is."""
+    gamma, delta = 0.04282458357181218, 0.10920262664902493
+    region = jaxstab.stable_region(gamma=gamma, delta=delta, delay=delay)
+    low, high = region.beta_limits(-gamma * (1.0 - 1e-9))
+    beta = np.linspace(low, high, 7)[1:-1]
+    assert not region.contains(-gamma, beta).any()
+    assert region.contains(-gamma * (1.0 - 1e-14), beta).all()
+    codes = jaxstab.verdict(-gamma, beta, gamma=gamma, delta=delta, delay=delay)
+    assert np.all(codes == jaxstab.Verdict.UNSTABLE)

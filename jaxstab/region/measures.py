@@ -110,9 +110,8 @@ def contains(
     def are_inside(alpha: Array, beta: Array) -> Array:
         inside, doubted = _is_inside(c, outline, alpha, beta)
         for k in np.flatnonzero(doubted) if is_proved else ():
-            code = wall_verdict(c.loop.triple, float(alpha[k]), float(beta[k])).verdict
-            if code != Verdict.UNDECIDED:
-                inside[k] = code == Verdict.STABLE
+            proved = wall_verdict(c.loop.triple, float(alpha[k]), float(beta[k]))
+            inside[k] = proved.verdict == Verdict.STABLE
         return inside
 
     is_inside: Array = _columns(are_inside, outline, 0, alpha, beta)
