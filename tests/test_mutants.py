@@ -68,6 +68,14 @@ def test_bounds_of_radii_hold_for_grids_of_polynomials() -> None:
     assert grid.ravel().tolist() == alone
 
 
+@pytest.mark.parametrize("radius", [0.5, 1.0, 2.0])
+def test_the_bound_of_a_radius_is_no_less_than_the_step_that_was_proved(radius: float) -> None:
+    """radius: steps are powers of two, and so are these radii: their product is exact."""
+    falling = np.poly([radius, 0.3 * radius, -0.2 * radius])
+    bound = float(radius_error(falling, np.array(radius)))
+    assert 1.0 <= bound / (radius * 2.0 ** round(np.log2(bound / radius))) < 1.0 + 1e-9
+
+
 def test_a_recurrence_gives_its_larger_root() -> None:
     """traced_radius: of a pair, of two real roots, and where one real root is left."""
     rng = np.random.default_rng(8)
