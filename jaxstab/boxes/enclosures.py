@@ -135,7 +135,7 @@ class Moving:
     def __rsub__(self, other: LinearModel | Number) -> "Moving":
         return -self + other
 
-    def __mul__(self, other: "Moving | LinearModel") -> "Moving":
+    def __mul__(self, other: "Moving | LinearModel | Number") -> "Moving":
         if isinstance(other, Moving):
             rate = self.value * other.rate + other.value * self.rate
             return Moving(self.value * other.value, rate)
