@@ -182,7 +182,7 @@ def _proved_error(
     def prove(state: tuple[Array, Array]) -> tuple[Array, Array]:
         step, found = state
         scale = radius * (1.0 + sides * steps[step])
-        tried = abs(scale - radius) * (1.0 + 4.0 * UNIT)
+        tried = radius * (steps[step] + 2.0 * UNIT)  # the scale is rounded to UNIT
         is_proved = xp.isinf(found) & (scaled_codes(both, error, scale, unit, places) == wanted)
         return step + 1, xp.where(is_proved, tried, found)
 
