@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.linalg
+import scipy.signal
 from commands import run
 
 from jaxstab.conventions import Verdict
@@ -360,3 +361,37 @@ def test_a_designed_sample_time_is_printed_so_that_a_window_in_seconds_divides_i
     assert round(0.02 / period) == 47
     limits = answered("limits", *SDK, "--sample-time", f"{period!r}")  # which refuses others
     assert limits["best"]["largest_stiffness"] > 3000.0
+
+
+@pytest.mark.parametrize("safety", [0.5, 0.8])
+def test_a_limit_with_a_safety_is_a_stable_wall(safety: float) -> None:
+    """Below the narrow tip of a region the damping of the tip is not stable."""
+    mass, period, cutoff = 0.1, 1e-3, 50.0
+    own = ["--mass", str(mass), "--damping", "0", "--sample-time", str(period)]
+    own += ["--delay-samples", "1", "--window-samples", "1"]
+    filter_ = f'controller.position={{ cutoff = {cutoff}, order = 2, kind = "butterworth" }}'
+    whole, part = (
+        answered("limits", *own, "--set", filter_, *more)["best"]
+        for more in ((), ("--safety", str(safety)))
+    )
+    above, below = scipy.signal.butter(2, 2.0 * cutoff * period)
+    base = np.polymul([1, -2, 1, 0, 0], below)  # (z - 1)^2 z z, the last one of the velocity
+
+    def radius(stiffness: float, damping: float) -> float:
+        wall = np.polyadd(
+            stiffness * np.r_[above, 0.0], damping / period * np.polymul([1, -1], below)
+        )
+        moved = period**2 / (2.0 * mass) * np.polymul([1, 1], wall)
+        return float(np.max(np.abs(np.roots(np.polyadd(base, moved)))))
+
+    limit, damping = whole["largest_stiffness"], whole["at_damping"]
+    assert radius(1.0001 * limit, damping) > 1.0
+    assert radius(safety * limit, damping) > 1.0
+    assert part["largest_stiffness"] == safety * limit
+    assert radius(part["largest_stiffness"], part["at_damping"]) < 1.0
+    text = run("limits", *own, "--set", filter_, "--safety", str(safety)).stdout
+    printed = re.search(r"largest stiffness +(\S+) N/m at (\S+) N s/m", text)
+    assert printed is not None
+    stiffness, beside = map(float, printed.groups())
+    assert 0.999 * safety * limit < stiffness <= safety * limit
+    assert radius(stiffness, beside) < 1.0

@@ -96,9 +96,14 @@ class StableGains:
         if value == inf:
             return GainAnswer({names[0]: value}, self.formats)
 
+        is_given = isfinite(value) and self.safety < 1.0
+        if is_given and not self.is_stable(own, value, at):  # as below a narrow corner
+            at = self.beside(own, value, at)
+
         def row(beside: float) -> list[tuple[float, float]]:  # of which the upper ends are tried
             ends = inner_ends(self.loop.intervals(**{other.name: beside})) if is_largest else []
-            return [(low, high) for low, high in ends if (high > 0.0) == (value > 0.0)]
+            below = ((low, min(high, value)) for low, high in ends)
+            return [(low, high) for low, high in below if abs(value - high) < 0.01 * abs(value)]
 
         way, allows = ROUND_FLOOR if is_largest else ROUND_CEILING, partial(self.is_stable, own)
         pair = stable_pair(value, at, (4, 6), allows, row, way)
@@ -112,11 +117,12 @@ class StableGains:
         return GainAnswer(values | ({"certainty": words} if words else {}), self.formats, is_proved)
 
     def beside(self, own: Gain, value: float, at: float) -> float:
-        """The other gain: a given one, or one between the ends of the last stable interval."""
+        """The other gain: a given one, or one between the ends of the nearest stable interval."""
         line = self.loop.intervals(**{own.name: value})
         if not line.intervals or line.holding(at):
             return at
-        low, high = (max(end.value, 0.0) for end in line.intervals[-1])
+        nearest = min(line.intervals, key=lambda ends: max(ends[0].value - at, at - ends[1].value))
+        low, high = (max(end.value, 0.0) for end in nearest)
         return 0.5 * (low + min(high, 3.0 * low + 1.0))
 
     def row(self, fixed: Gain, value: float, around: float = nan) -> dict[str, Any]:
