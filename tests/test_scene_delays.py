@@ -590,6 +590,32 @@ def test_studies_and_pages_take_the_longest_delay_and_say_so_first(tmp_path: Pat
         assert "longest" not in over.stderr
 
 
+def test_limits_around_a_wall_are_for_all_hands_of_a_delay_that_is_constant() -> None:
+    """They were those of the lowest hand at both delays, and of the worst one."""
+    table = scene(delay=[0.0, T], delay_is="constant")
+    table["hand"] = {"mass": [0.0, 0.1], "stiffness": [0.0, 500.0]}
+    table["walls"] = {"a": {"stiffness": 2000.0, "damping": 15.0}}
+    table["wanted"] = {"measures": ["margins"]}
+    (wall,) = check_walls(Scene.from_table(table)).walls.values()
+    assert wall.measures_are == "the worst of 8 hands and constant delays"
+    least, _ = wall.stiffness_limits
+    assert least == pytest.approx(0.0, abs=1e-9)  # of no hand; any other allows a negative one
+    _, most = wall.damping_limits
+    each = [
+        HapticLoop(
+            device_mass=0.1,
+            device_damping=0.05,
+            hand_mass=mass,
+            hand_stiffness=stiffness,
+            sample_time=T,
+            delay=delay,
+        ).spectral_radius(2000.0, np.array([0.999, 1.001]) * most)
+        for mass, stiffness, delay in product((0.0, 0.1), (0.0, 500.0), (0.0, T))
+    ]
+    inside, outside = np.max([radius.value for radius in each], axis=0)
+    assert inside < 1.0 < outside
+
+
 def test_pictures_of_tune_and_design_are_of_the_longest_delay(tmp_path: Path) -> None:
     given = Scene.from_table(
         scene(delay=[0.0, T], delay_is="constant") | {"wanted": {"stiffness": 1e3}}

@@ -444,3 +444,30 @@ def test_what_holds_a_device_still_is_its_static_stiffness() -> None:
     )
     pushed = loop.simulate(400.0, 5.0, samples=5000, force=1.0)
     assert float(pushed.position[-1]) == pytest.approx(1.0 / (400.0 + held), rel=1e-6)
+
+
+def test_a_device_whose_mass_varies_needs_no_hand() -> None:
+    device = {"mass": [0.2, 0.4], "damping": 0.1, "actuator": {"bandwidth": 100.0}}
+    wall, period = {"stiffness": 300.0, "damping": 5.0}, 1e-3
+    controller = {"sample_time": period, "velocity": {"window_samples": 1}}
+    tables = {"device": device, "controller": controller, "walls": {"a": wall}}
+    wanted = {"measures": ["radius", "oscillation"]}
+    found = check_walls(Scene.from_table(tables | {"wanted": wanted})).walls["a"]
+    assert found.verdict == Verdict.STABLE
+    roots = []
+    for mass in (0.2, 0.4):
+        lag = 2.0 * math.pi * 100.0
+        motion = np.zeros((4, 4))  # position, velocity, the motor's force and what it is asked for
+        motion[0, 1], motion[1, 1:3], motion[2, 2:] = 1.0, (-0.1 / mass, 1.0 / mass), (-lag, lag)
+        step = expm(period * motion)
+        loop = np.zeros((4, 4))  # and the last position
+        law = np.array([-300.0 - 5.0 / period, 0.0, 0.0, 5.0 / period])
+        loop[:3, :3], loop[3, 0] = step[:3, :3], 1.0
+        loop[:3] += np.outer(step[:3, 3], law)
+        roots.append(np.linalg.eigvals(loop))
+    radii = [np.max(np.abs(own)) for own in roots]
+    assert found.spectral_radius == pytest.approx(max(radii), abs=1e-9)
+    ratios = [np.min(-np.log(own).real / np.abs(np.log(own))) for own in roots]
+    assert found.damping_ratio == pytest.approx(min(ratios), rel=1e-6)
+    least = found.least_damped_hand
+    assert (least.device_mass, least.mass) == ((0.2, 0.4)[int(np.argmin(ratios))], 0.0)

@@ -376,10 +376,13 @@ def held_by(loop: HapticLoop, scene: Scene) -> OneHand:
     """Return the hand of a loop of a scene, and the device's mass if that varies."""
     hand, own = (loop.hand_mass, loop.hand_stiffness, loop.hand_damping), loop.device_mass
     if loop.device is not None:
-        arm, body = loop.device.hands[0].dynamics, loop.device.mechanism
-        assert isinstance(arm, MassSpringDamper)  # as scenes make hands
-        assert isinstance(body, MassSpringDamper | Modes)  # and devices
-        hand, own = (arm.mass, arm.stiffness, arm.damping), body.mass
+        body, hand = loop.device.mechanism, (0.0, 0.0, 0.0)
+        assert isinstance(body, MassSpringDamper | Modes)  # as scenes make devices
+        own = body.mass
+        for held in loop.device.hands:
+            arm = held.dynamics
+            assert isinstance(arm, MassSpringDamper)  # and the one hand, if there is any
+            hand = arm.mass, arm.stiffness, arm.damping
     return OneHand(*hand, own if scene.device.varies else None)
 
 
