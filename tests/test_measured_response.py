@@ -378,6 +378,9 @@ def test_limits_and_check_answer_by_the_file_of_a_response(scene: Path) -> None:
         (("limits", "--plot", "x.png"), "a measured response has no picture"),
         (("check", "--set", "device.response=none.csv"), "cannot read none.csv"),
         (("limits", "--set", "device.error=2"), "device.error is 2"),
+        (("check", "--set", "wanted=3"), "wanted is 3; give a table"),
+        (("check", "--set", "wanted.frequency=no"), "wanted.frequency is 'no'; give true or false"),
+        (("check", "--hand-mass", 1.0), "leave [hand] out"),
     ],
 )
 def test_commands_refuse_in_one_sentence(

@@ -393,6 +393,13 @@ class MeasuredDevice(t.Table):
     turns: bool = t.key(t.truth, False)
 
 
+@dataclass(frozen=True, kw_only=True)
+class MeasuredWanted(t.Table):
+    """The wishes about a measured device."""
+
+    frequency: bool = t.key(t.truth, False)
+
+
 @dataclass(frozen=True)
 class MeasuredScene:
     """The loop of a measured device, and walls by name."""
@@ -405,12 +412,16 @@ class MeasuredScene:
     @classmethod
     def from_table(cls, tables: Mapping[str, Any]) -> "MeasuredScene":
         """Check a table of tables; ValueError on the first key that is unknown, missing or bad."""
+        if "hand" in tables:
+            raise ValueError(
+                "hand is given beside device.response, which has the hand in it that held the "
+                "device; leave [hand] out."
+            )
         t.check_keys("", tables, ["device", "controller", "walls", "wanted"])
         device = MeasuredDevice.from_table(tables["device"], "device")
         controller = Controller.from_table(tables.get("controller", {}), "controller")
         controller.require_one_delay("an answer about a measured response")
-        wanted = tables.get("wanted", {})
-        t.check_keys("wanted", wanted, ["frequency"])
+        wanted = MeasuredWanted.from_table(tables.get("wanted", {}), "wanted")
         loop = HapticLoop(
             device=model.Device.from_response(device.response, error=device.error),
             sample_time=controller.sample_time,
@@ -420,7 +431,7 @@ class MeasuredScene:
         )
         units = Units.ROTATION if device.turns else Units.LINE
         walls = walls_in(tables.get("walls", {}))
-        return cls(loop, units, walls, bool(wanted.get("frequency", False)))
+        return cls(loop, units, walls, wanted.frequency)
 
     def unusual(self) -> list[str]:
         """There is no number of which unusual values are known."""
