@@ -22,7 +22,7 @@ from jaxstab.exact.circle import (
     is_positive,
     zeros,
 )
-from jaxstab.model.device.parts import decided
+from jaxstab.model.device.parts import decided, working_precision
 
 Isolate = Callable[[list[flint.arb]], list[Zero] | None]
 
@@ -298,3 +298,26 @@ def test_cells_meet_at_their_ends_wherever_these_are_moved_to() -> None:
             assert left.overlaps(right)
             assert float(left.mid()) == pytest.approx(truth, rel=1e-15)
             assert _place(1, moved) <= 1
+
+
+@pytest.mark.parametrize("n", [3, 5])
+@pytest.mark.parametrize("bits", [192, 384, 768])
+def test_double_zeros_are_places_at_every_precision(n: int, bits: int) -> None:
+    """sin(n theta) sin(n theta/2) over those of theta and theta/2: zeros at k pi/n, even k twice.
+
+    With 384 bits Taylor's rest hid the signs next to a double zero: an admittance without damping,
+    with a mean of five forces, took 40 s.
+    """
+    terms = [0] * ((3 * n - 1) // 2)
+    for up in range(n):
+        for down in range(n):
+            turn = n - 1 - 2 * up + (n - 1) // 2 - down
+            if turn >= 0:
+                terms[turn] += 2 if turn else 1
+    with working_precision(bits):
+        found = zeros([flint.arb(c) for c in terms], is_last_try=True)
+        assert found is not None
+        assert [zero.slope for zero in found] == [(0, -1, 0, 1)[k % 4] for k in range(1, n)]
+        for k, zero in enumerate(found, start=1):
+            assert zero.angle.overlaps(flint.arb.pi() * k / n)
+            assert zero.angle.rad() < 1e-15
