@@ -76,7 +76,7 @@ def test_the_program_is_short_and_imports_the_standard_library_alone() -> None:
     lines = READER.read_text().splitlines()
     imports = [line for line in lines if line.startswith(("import ", "from "))]
     assert len(lines) <= 250
-    known = {"contextlib", "fractions", "itertools", "json", "math", "operator", "sys"}
+    known = {"contextlib", "fractions", "itertools", "json", "math", "operator", "re", "sys"}
     assert {line.split()[1] for line in imports} <= known
 
 
@@ -151,6 +151,8 @@ def test_what_was_changed_is_refused(
         ("loop.delay_samples", "-1"),
         ("loop.delay_samples", "1e400"),
         ("loop.damping", "1e400"),
+        ("walls.soft.damping", "1e999999999"),
+        ("walls.soft.stiffness_intervals.0", ["0", "1e-999999999"]),
     ],
 )
 def test_a_file_that_cannot_be_read_is_named(

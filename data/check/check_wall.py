@@ -25,6 +25,7 @@ are no other intervals, is not shown here.
 """
 
 import json
+import re
 import sys
 from contextlib import suppress
 from fractions import Fraction
@@ -193,10 +194,7 @@ def has_roots_inside(p):
 def checked(loop):
     """A loop; ValueError if it is of another kind, or larger than jaxstab allows."""
     own = {name: Fraction(value) for name, value in loop["velocity"].items()}
-    if {*loop} != {"velocity", *NUMBERS} or {*own} not in (
-        {"window_samples"},
-        {"cutoff", "order"},
-    ):
+    if {*loop} != {"velocity", *NUMBERS} or {*own} not in ({"window_samples"}, {"cutoff", "order"}):
         raise ValueError("the loop has other keys than one mass and its estimator")
     m, b, k, period, delay = (Fraction(loop[name]) for name in NUMBERS)
     count, cutoff = own.get("window_samples", own.get("order")), own.get("cutoff", 1)
@@ -225,9 +223,11 @@ def claims(file):
 def main(path):
     try:
         with open(path, encoding="utf-8") as stream:
-            file = json.load(stream)
+            file = json.loads(text := stream.read())
         if file["format"] != "jaxstab wall 1":
             raise ValueError(f"format is {file['format']!r}; this program reads 'jaxstab wall 1'")
+        if re.search(r"[\d.]e[+-]?\d{4}", text, re.IGNORECASE):  # it fills the memory
+            raise ValueError("a number is beyond what float64 can hold")
         loop, asked, refused = checked(file["loop"]), list(claims(file)), 0
         for words, stiffness, damping, expected in asked:
             try:
