@@ -555,6 +555,12 @@ def test_processes_and_dask_workers_compute_the_same_though_one_is_killed() -> N
 KILL = "import os, sys, time; time.sleep(0.5); os.kill(int(sys.argv[1]), 9)"
 
 
+def test_a_safety_that_is_not_applied_is_said() -> None:
+    table = {**TABLE, "wanted": {"safety": 0.8}}
+    planned = studies.plan_study(table, {"device.mass": [0.1, 0.2]})
+    assert planned.notes[0] == "wanted.safety is 0.8: limits are given without it."
+
+
 # Bad input: one sentence each, before anything is computed.
 
 
@@ -573,6 +579,7 @@ KILL = "import os, sys, time; time.sleep(0.5); os.kill(int(sys.argv[1]), 9)"
             {},
             "walls.soft.damping cannot vary in a study; give a wall",
         ),
+        ({"wanted.safety": [0.5]}, {}, "wanted.safety cannot vary in a study; leave it out"),
         ({"hand.stiffness": "uniform:-5:9"}, {}, "hand.stiffness has draws below 0"),
         ({"hand.stiffness": stats.norm(-5.0, 1.0)}, {}, "hand.stiffness has draws below 0"),
         (

@@ -725,8 +725,11 @@ class _Source:
         if self.is_loop:
             names = [*self.numbers, *(f.name for f in fields(HapticLoop) if f.name != "delay")]
             check_keys("", [key], list(dict.fromkeys(names)))
-        elif key == "loop.kind" or key.partition(".")[0] in ("walls", "wanted", "contact", "gains"):
-            raise ValueError(f"{key} cannot vary in a study; give a wall for each value.")
+        elif (section := key.partition(".")[0]) in ("walls", "gains"):
+            what = "pair of gains" if section == "gains" else "wall"
+            raise ValueError(f"{key} cannot vary in a study; give a {what} for each value.")
+        elif key == "loop.kind" or section in ("wanted", "contact"):
+            raise ValueError(f"{key} cannot vary in a study; leave it out.")
 
     def made(self, values: Mapping[str, Any]) -> Any:
         """The loop with these values in place of those of the source."""
@@ -761,6 +764,9 @@ class _Source:
         outer = [self._scene(dict(zip(keys, [v[k] for v in ends], strict=True))) for k in (0, -1)]
         walls = (scene for scene in outer if isinstance(scene, Scene))
         notes = [f"{note}." for scene in walls for note in delay_notes(scene)]
+        wanted = self.table.get("wanted", {})
+        if "safety" in wanted:
+            notes.append(f"wanted.safety is {wanted['safety']}: limits are given without it.")
         unusual = [words for scene in outer for words in scene.unusual()]
         notes += [f"warning: {said}{'' if said.endswith('?') else '.'}" for said in unusual]
         return list(dict.fromkeys(notes))
