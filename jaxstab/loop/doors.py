@@ -108,8 +108,9 @@ def admittance(
         sample_time: T in s, > 0.
         delay_samples: samples by which the robot follows its command, 0 or more.
         rule: "forward", v + T/M (F - D v), then x + T v with the new v; "backward", with the new v
-            in the damper's force; "explicit", x with the old v; "trapezoid", both by the mean. The
-            exact exponential of D T/M is not affine in the gains.
+            in the damper's force; "explicit", x with the old v; "trapezoid", Tustin's rule, which
+            takes the mean of old and new for v, x and F. The exact exponential of D T/M is not
+            affine in the gains.
         stiffness: of a virtual spring beside mass and damper in N/m, >= 0.
         robot: its response from command to position, a filter; None for the delay alone.
         force_filter: of the measured force; None for none.
