@@ -149,7 +149,8 @@ def optimal_wall(
         reached = float(moved(*wall)) if np.isfinite(wall[0]) else np.nan
     if np.isnan(wall[0]):
         return OptimalWall(np.nan, np.nan, np.nan, np.inf, np.inf, status)
-    gains = loop.stiffness(wall[0]), loop.damping(wall[1])
+    given = loop.stiffness(wall[0]) if stiffness is None else float(stiffness)
+    gains = given, loop.damping(wall[1])
     radius = loop.spectral_radius(*gains)
     settling = np.nan  # of a velocity that is measured, the radius alone is known
     if loop.velocity is None or behind_measured(loop.velocity) is None:
