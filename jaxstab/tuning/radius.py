@@ -414,11 +414,21 @@ class Walls(NamedTuple):
 
 
 def _largest_moduli(coefficients: Float64[np.ndarray, "polynomial coefficient"]) -> np.ndarray:
-    degree = coefficients.shape[1] - 1
-    companion = np.zeros((len(coefficients), degree, degree))
-    companion[:, :1] = -coefficients[:, None, 1:]
-    companion[:, range(1, degree), range(degree - 1)] = 1.0
-    return np.abs(np.linalg.eigvals(companion)).max(axis=-1, initial=0.0)
+    """The largest moduli of roots; of high degrees by halving the circles that may hold all."""
+    degree, long, halvings = coefficients.shape[1] - 1, 60, 45
+    if degree <= long:
+        companion = np.zeros((len(coefficients), degree, degree))
+        companion[:, :1] = -coefficients[:, None, 1:]
+        companion[:, range(1, degree), range(degree - 1)] = 1.0
+        return np.abs(np.linalg.eigvals(companion)).max(axis=-1, initial=0.0)
+    falling, powers = coefficients.T, 1.0 / np.arange(1, degree + 1)
+    high = 2.0 * np.max(np.abs(coefficients[:, 1:]) ** powers, axis=1)  # Fujiwara's bound
+    low = np.zeros_like(high)
+    for _ in range(halvings):
+        middle = 0.5 * (low + high)
+        inside = all_inside(falling, middle)
+        low, high = np.where(inside, low, middle), np.where(inside, middle, high)
+    return high
 
 
 class Best(NamedTuple):
