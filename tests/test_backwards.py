@@ -14,6 +14,7 @@ from typing import Any
 import mpmath
 import numpy as np
 import pytest
+import scipy.signal
 from campaign import many
 from commands import run
 from problems import LEAST_INERTIAS
@@ -22,6 +23,7 @@ import jaxstab
 from jaxstab.conventions import Verdict
 from jaxstab.loop import backwards
 from jaxstab.results import StableEnd, StableValues, WorstHand
+from jaxstab.scene import Scene, design_loop
 
 JOINT = jaxstab.HapticLoop(device_mass=1.0, device_damping=0.0, sample_time=2e-3, delay=2e-3)
 OMEGA = jaxstab.HapticLoop(
@@ -241,6 +243,40 @@ def test_sample_times_are_those_with_whole_windows() -> None:
     for period, code in zip(high, (1, 2), strict=True):
         assert 0.02 / period == pytest.approx(round(0.02 / period))
         assert replace(OMEGA, sample_time=period).verdict(1000.0, 10.0) == code
+
+
+def test_sample_times_divide_the_windows_of_both_filters() -> None:
+    filters = jaxstab.Velocity.difference(window=0.004), jaxstab.Filter.average(window=0.006)
+    position: dict[str, Any] = {"velocity": filters[0], "position": filters[1]}
+    loop = jaxstab.HapticLoop(
+        device_mass=0.3, device_damping=0.5, sample_time=1e-3, delay=1e-3, **position
+    )
+    found = loop.range_of("sample_time", 300.0, 10.0, between=(2e-4, 1e-2))
+    ((low, high),) = found.intervals  # those between two of them make no loop, and are no gap
+    assert found.between == (low.stable, high.stable) == (pytest.approx(2e-4), 0.002)
+
+    def radius(period: float, stiffness: float, damping: float) -> float:
+        plant = scipy.signal.cont2discrete(([1.0], [0.3, 0.5, 0.0]), period)
+        above, below = np.atleast_1d(np.squeeze(plant[0])), plant[1]
+        long, short = round(0.006 / period), round(0.004 / period)
+        wall = np.pad(np.full(long, stiffness / long), 1)  # behind a delay, times z^(long + 1)
+        wall[1] += damping / (short * period)
+        wall[1 + short] -= damping / (short * period)
+        loop = np.polyadd(np.polymul(below, np.eye(long + 2)[0]), np.polymul(above, wall))
+        return float(np.abs(np.roots(loop)).max())
+
+    table = {
+        "device": {"mass": 0.3, "damping": 0.5},
+        "controller": {
+            "sample_time": 1e-3, "delay_samples": 1.0,
+            "velocity": {"window": 0.004}, "position": {"window": 0.006},
+        },
+        "wanted": {"stiffness": 8000.0},
+    }  # fmt: skip
+    best = design_loop(Scene.from_table(table)).sample_time
+    assert radius(best.largest_sample_time, 8000.0, best.at_damping) < 1.0
+    longer = 0.002 / (round(0.002 / best.largest_sample_time) - 1)
+    assert all(radius(longer, 8000.0, damping) > 1.0 for damping in np.linspace(0.0, 300.0, 60))
 
 
 def test_a_device_in_z_has_whole_delays() -> None:

@@ -31,7 +31,7 @@ from jaxstab.loop.region import Gains
 from jaxstab.model.balls import ball_triple
 from jaxstab.model.device.device import in_steps
 from jaxstab.model.device.parts import MassSpringDamper, Modes
-from jaxstab.model.filters import Filter, Velocity, with_number
+from jaxstab.model.filters import Velocity, dividing_periods, sections_of, with_number
 from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.numbers import checked_count, checked_word, two_ends
 from jaxstab.shown import number_text
@@ -298,10 +298,9 @@ def _scan(loop: Any, quantity: str, wall: Gains, count: int) -> Scan:
         most = min(max(most, 2.0 * loop.delay_samples), LONGEST_DELAY) * period
         whole = [n * body.step for n in range(round(most / body.step) + 1)] if body else None
     elif quantity == "sample_time":  # few have whole samples in a window in s, or whole steps
-        chain = (loop.velocity or Velocity()).filter * (loop.position or Filter())
-        windows = [w for section in chain.sections if (w := getattr(section, "window", None))]
+        periods = dividing_periods(sections_of(loop.velocity, loop.position))
         whole = [n * body.step for n in counts] if body else None
-        whole = [windows[0] / n for n in counts][::-1] if windows else whole
+        whole = periods[::-1] if periods else whole
     if whole:
         return Scan(whole, is_complete=True)
     damping, stiffness = loop.damping(1.0), loop.stiffness(1.0)

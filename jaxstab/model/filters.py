@@ -425,6 +425,26 @@ def shown(value: Numbers) -> str:
     return "a traced value" if is_traced(value) else f"{float(value):g}"
 
 
+def sections_of(velocity: "Velocity | None", position: "Filter | None") -> tuple[Section, ...]:
+    """The sections of both filters of a loop."""
+    return ((velocity or Velocity()).filter * (position or Filter())).sections
+
+
+def dividing_periods(sections: tuple[Section, ...]) -> list[float] | None:
+    """The sampling periods, longest first, that divide all windows in s; None without one."""
+    windows = [own for section in sections if (own := getattr(section, "window", None))]
+    if not windows:
+        return None
+
+    def divides(period: float) -> bool:
+        try:
+            return all(_whole_samples(window, period) for window in windows)
+        except ValueError:
+            return False
+
+    return [*filter(divides, (windows[0] / n for n in range(1, LONGEST_WINDOW + 1)))]
+
+
 def _whole_samples(window: float | None, sample_time: Numbers) -> int:
     if is_traced(sample_time):
         raise TypeError("sample_time is traced beside a window in s; give the window in samples.")

@@ -7,7 +7,6 @@ from enum import Enum
 from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
-from math import inf
 from os import PathLike
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -356,12 +355,6 @@ class VelocityTable(_TimedTable):
                 "give window, cutoff or coefficients that you have measured."
             )
         return {**defaults, **table}
-
-    @property
-    def longest_sample_time(self) -> float:
-        """The sample time in s up to which the low pass is one; infinite where there is none."""
-        sections = self.as_velocity().filter.sections
-        return min((section.longest_sample_time for section in sections), default=inf)
 
     @property
     def preset_numbers(self) -> Mapping[str, Sourced]:

@@ -22,7 +22,7 @@ from jaxstab.conventions import Status, Verdict
 from jaxstab.loop import Gain, Gains, HapticLoop, StableValues, tune_for_all
 from jaxstab.loop.backwards import range_of
 from jaxstab.loop.tune import settling_times
-from jaxstab.model.filters import LONGEST_WINDOW
+from jaxstab.model.filters import dividing_periods, sections_of
 from jaxstab.region.curve import bracketed_root
 from jaxstab.scene.answers import Basis, GainAnswer, basis_of, formats_of, rounded_wall
 from jaxstab.scene.check import settled
@@ -43,7 +43,7 @@ from jaxstab.scene.loops import (
     with_tolerances,
     worst_on,
 )
-from jaxstab.scene.scene import Scene, Units, VelocityTable, presets
+from jaxstab.scene.scene import Scene, Units, presets
 from jaxstab.shown import Printed, exact_text, stable_pair
 from jaxstab.tuning import TuningStatus
 
@@ -208,9 +208,9 @@ def design_loop(scene: Scene) -> GainAnswer:
     """The largest sample time, and the largest delay, that allow the wanted stiffness."""
     most_samples = 256.0  # of delay that are tried
     # A delay given in samples grows with the sample time. The damping is that of the stiffest wall.
-    # The stiffness is taken to fall as the sample time or the delay grows. Where the velocity is
-    # taken over a window in s, only sample times that divide it are tried. Of a range of delays it
-    # is the longest one, as a constant delay.
+    # The stiffness is taken to fall as the sample time or the delay grows. Where a window is given
+    # in s, only sample times that divide it are tried. Of a range of delays it is the longest one,
+    # as a constant delay.
     given, scene = scene, scene.at_longest_delay
     wanted = scene.wanted.stiffness
     if wanted is None:
@@ -218,12 +218,11 @@ def design_loop(scene: Scene) -> GainAnswer:
             "wanted.stiffness is missing; give the stiffness to design for in "
             f"{scene.units.stiffness}."
         )
-    loop, controller = loop_of(scene), scene.controller
-    in_samples, velocity = controller.delay_samples, controller.velocity
+    loop, in_samples = loop_of(scene), scene.controller.delay_samples
     stable = StableWalls(loop, scene.wanted.safety or 1.0)
     period, of_k = loop.sample_time, loop.gains[0]
     shortest = max(period / 1024.0, loop.delay / most_samples if in_samples is None else 0.0)
-    longest = min(1024.0 * period, velocity.longest_sample_time if velocity else inf)
+    longest = min(1024.0 * period, _longest(loop))
 
     def largest(name: str, loop_at: Any, *among: Any) -> GainAnswer:
         def at(value: float) -> StableWalls:
@@ -242,7 +241,7 @@ def design_loop(scene: Scene) -> GainAnswer:
                 sampled_loop,
                 period,
                 (shortest, longest),
-                _periods(velocity, shortest, inf),
+                _periods(loop, shortest, inf),
             ),
             "delay": largest("delay", delayed_loop, period, (0.0, most_samples * period)),
             "hand": at_lowest(scene),
@@ -250,25 +249,28 @@ def design_loop(scene: Scene) -> GainAnswer:
     )
 
 
-def _periods(velocity: VelocityTable | None, low: float, high: float) -> list[float] | None:
-    """The sample times in a range that divide the window in s of an estimator; None without one."""
-    window = velocity.window if velocity else None
-    if window is None:
-        return None
-    every = (window / count for count in range(1, LONGEST_WINDOW + 1))
-    return [period for period in every if low <= period <= high]
+def _longest(loop: HapticLoop) -> float:
+    """The sample time in s up to which all filters are some; infinite where all always are."""
+    sections = sections_of(loop.velocity, loop.position)
+    return min((section.longest_sample_time for section in sections), default=inf)
+
+
+def _periods(loop: HapticLoop, low: float, high: float) -> list[float] | None:
+    """The sample times in a range that divide all windows in s; None without one."""
+    every = dividing_periods(sections_of(loop.velocity, loop.position))
+    return every and [period for period in every if low <= period <= high]
 
 
 def stiffness_over(name: str, scene: Scene, design: GainAnswer) -> tuple[Floats, Floats]:
     """Sample times, or delays, around those now and designed in s, and the allowed stiffness."""
     shares, points = (0.6, 1.6), 33  # of the shortest and the longest that are given
-    loop, velocity, safety = loop_of(scene), scene.controller.velocity, scene.wanted.safety or 1.0
+    loop, safety = loop_of(scene), scene.wanted.safety or 1.0
     designed, among = design.values[name].values[f"largest_{name}"], None
     given = [loop.sample_time, designed, *((0.0, loop.delay) if name == "delay" else ())]
     low, high = shares[0] * np.nanmin(given), shares[1] * np.nanmax(given)
     if name == "sample_time":
-        high = min(high, velocity.longest_sample_time) if velocity else high
-        among = _periods(velocity, low, high)
+        high = min(high, _longest(loop))
+        among = _periods(loop, low, high)
     values = np.linspace(low, high, points) if among is None else np.array(among[::-1])
     loop_at = sampled_loop if name == "sample_time" else delayed_loop
     regions = (wall_region(loop_at(scene, value)) for value in values.tolist())
