@@ -32,7 +32,7 @@ from jaxstab.model.balls import ball_triple
 from jaxstab.model.device.device import in_steps
 from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.model.filters import Velocity, dividing_periods, sections_of, with_number
-from jaxstab.model.parameters import LONGEST_DELAY
+from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, LONGEST_DELAY
 from jaxstab.numbers import checked_count, checked_word, two_ends
 from jaxstab.shown import number_text
 
@@ -227,6 +227,8 @@ def range_of(
     at_once = is_of_mechanics and loop.device is None and wall.stiffness != 0.0
     tried = (5000 if at_once else 500) if count is None else checked_count("count", count, 2)
     scan = _scan(loop, quantity, wall, tried).within(between, tried)
+    if is_of_mechanics and loop.device is None:
+        scan = _held(loops, quantity, scan)
 
     @cache  # a hand that joins leaves the verdicts on the others
     def verdict(each: Any, value: float) -> Verdict:
@@ -276,6 +278,16 @@ def _for_all(found: StableValues, worst: Callable[[float], Any]) -> tuple[Stable
             ends.append(own._replace(stable=value))
         intervals.append((ends[0], ends[1]))
     return found._replace(intervals=tuple(intervals), is_proved=is_proved), []
+
+
+def _held(loops: list[Any], quantity: str, scan: Scan) -> Scan:
+    """The values of a scan at which loops of one mass are within what can be computed."""
+    values = np.array(scan.values)
+    are_held = np.full(values.shape, quantity != "device_mass") | (values > 0.0)
+    for each in loops:
+        own = replace(each, **{quantity: values[are_held]})
+        are_held[are_held] = (own.gamma <= GAMMA_LIMIT) & (own.delta <= DELTA_LIMIT)
+    return scan._replace(values=values[are_held | (values == 0.0)].tolist() or scan.values)
 
 
 def _verdicts(loops: list[Any], quantity: str, wall: Gains, scan: Scan) -> Any:
