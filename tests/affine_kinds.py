@@ -127,10 +127,10 @@ def _pid(rng: Rng, given: str) -> Case:
     rule = str(rng.choice(["backward", "forward", "trapezoid"]))
     options = {given: value}
 
-    def matrix(*gains: float, exact: bool = False) -> np.ndarray:
+    def matrix(*gains: float, exact: bool = False, is_open: bool = False) -> np.ndarray:
         number, one = (mpmath.mpf, mpmath.mpf(1)) if exact else (float, 1.0)
         others = [name for name in ("kp", "ki", "kd") if name != given]
-        every = dict(zip(others, gains, strict=True)) | options
+        every = dict(zip(others, gains, strict=True)) | ({given: 0.0} if is_open else options)
         every = {name: number(x) for name, x in every.items()}
         plant = _held(*body, period, held.delay_samples, exact=exact)
         own = {"period": number(period), "rule": rule, "window": window, "one": one}

@@ -65,9 +65,11 @@ def of_kind(kind: str, rng: np.random.Generator) -> Asked:
         if pair is None:
             continue
         nothing = (1e90, 0.0) if kind == "admittance" else (0.0, 0.0)
+        opened = {"is_open": True} if kind in ("kp-ki", "kp-kd") else {}  # the given gain, too
         with mp.workdps(120):
             below, whole = (
-                polynomial_exactly(case.matrix(*g, exact=True)) for g in (nothing, pair)
+                polynomial_exactly(case.matrix(*g, exact=True, **own))
+                for g, own in ((nothing, opened), (pair, {}))
             )
         gains = dict(zip(case.gains, pair, strict=True))
 

@@ -10,6 +10,7 @@ import jax
 import numpy as np
 import open_loops
 import pytest
+import scipy.signal
 from campaign import many
 from commands import run
 from matplotlib.figure import Figure
@@ -320,6 +321,37 @@ def test_gains_broadcast_as_those_of_margins_do() -> None:
     assert robots.frequency_margins(mass=[2.0, 3.0], damping=50.0).disk.error.shape == (2,)
 
 
+def test_the_margins_of_pid_are_those_of_all_three_gains() -> None:
+    device = jaxstab.HapticLoop(
+        device_mass=0.5, device_damping=1.0, hand_stiffness=100.0, sample_time=1e-3, delay=1e-3
+    )
+    gains = {"kp": 900.0, "ki": 4000.0, "kd": 15.0}
+    plant = scipy.signal.cont2discrete(([1.0], [0.5, 1.0, 100.0]), 1e-3)
+    # N/D in z behind a delay of a sample: kp + ki T z/(z - 1) + kd (z - 1)/(T z) before the plant.
+    wall = [
+        np.array(own) * gains[name]
+        for name, own in (
+            ("kp", [1.0, -1.0, 0.0]),
+            ("ki", [1e-3, 0.0, 0.0]),
+            ("kd", [1e3, -2e3, 1e3]),
+        )
+    ]
+    above = np.polymul(np.squeeze(plant[0]), np.sum(wall, axis=0))
+    below = np.polymul(plant[1], [1.0, -1.0, 0.0, 0.0])
+
+    def radius(factor: float) -> float:
+        return float(np.abs(np.roots(np.polyadd(below, factor * above))).max())
+
+    circle = np.exp(1j * np.geomspace(1e-4, np.pi, 200_000))
+    opened = np.polyval(above, circle) / np.polyval(below, circle)
+    for name, value in gains.items():
+        others = {other: gains[other] for other in gains if other != name}
+        found = jaxstab.pid(device, **{name: value}).frequency_margins(**others)
+        most = float(found.largest_gain.value)
+        assert radius(most * (1.0 - 1e-6)) < 1.0 < radius(most * (1.0 + 1e-6))
+        assert float(found.sensitivity.value) == pytest.approx(np.abs(1.0 / (1.0 + opened)).max())
+
+
 def test_gain_and_delay_margins_are_those_of_margins() -> None:
     margins, own = WINDOW.margins(1000.0, 10.0), WINDOW.frequency_margins(1000.0, 10.0)
     assert own.delay.value == margins.extra_delay
@@ -452,5 +484,5 @@ def test_check_prints_all_margins_on_request_for_the_worst_hand() -> None:
 def test_check_of_other_gains_has_them_too_and_an_unstable_wall_has_none() -> None:
     pid = "data/scenes/gains/pid.toml"
     result = run("check", pid, "--frequency")
-    assert re.search(r"(?m)^  disk margin +0.9167 at 24.9245 Hz$", result.output)
+    assert re.search(r"(?m)^  disk margin +0.733 at 36.9998 Hz$", result.output)
     assert "phase margin" not in result.output.split("gains hasty")[1]

@@ -261,10 +261,11 @@ class TwoGains:
     def to_control(self, *wall: float, **gains: float) -> Any:
         """The open loop L(z) = (a S + b R)/base as a transfer function of python-control.
 
-        Of a wall it is G(z) (K P(z) + B V(z)), with device, hold and delay in G. Closed with a
-        feedback of -1 it has the poles of the loop, and its frequency response shows the margins in
-        a Nyquist plot. Where the gains move the leading coefficient of p(z), the parts are those of
-        p over it, by the ``coordinates``: an admittance is opened at its acceleration.
+        Of a wall it is G(z) (K P(z) + B V(z)), with device, hold and delay in G; of PID control all
+        three gains are in it, the given one as well. Closed with a feedback of -1 it has the poles
+        of the loop, and its frequency response shows the margins in a Nyquist plot. Where the gains
+        move the leading coefficient of p(z), the parts are those of p over it, by the
+        ``coordinates``: an admittance is opened at its acceleration.
 
         Args and Raises: as ``spectral_radius``; ImportError without python-control. The gains are
         single numbers.

@@ -195,6 +195,8 @@ def _weights(whole: Triple, pivot: int) -> "list[arb]":
 
 def opened_loop(parts: AffineParts, first: float, second: float) -> tuple[Factored, Factored]:
     """D and N of the open loop N/D, opened where no gain moves the leading coefficient of p(z)."""
+    if isinstance(parts, PidParts):
+        return parts.opened(first, second)
     coordinates, a, b = coordinates_of(parts), flint.arb(first), flint.arb(second)
     triple = affine_triple(coordinates.chart)
     if not coordinates.are_gains:
@@ -322,6 +324,23 @@ class PidParts(AffineParts):
 
     def triple(self) -> Triple:
         """The parts of p(z), by the two other gains in the order kp, ki, kd."""
+        base, parts = self.sides()
+        if self.value:
+            base = base.plus(parts[self.given].scaled(self.value))
+        return Triple.from_parts(
+            base, *(part for name, part in parts.items() if name != self.given)
+        )
+
+    def opened(self, first: float, second: float) -> tuple[Factored, Factored]:
+        """D and N of the open loop N/D: all three gains, the given one too, act in one force."""
+        base, parts = self.sides()
+        others = iter((first, second))
+        gains = [self.value if name == self.given else next(others) for name in parts]
+        above = [part.scaled(gain) for part, gain in zip(parts.values(), gains, strict=True)]
+        return base, above[0].plus(above[1]).plus(above[2])
+
+    def sides(self) -> tuple[Factored, dict[str, Factored]]:
+        """The denominator of device and integrator, and the numerators behind the gains."""
         own = ball_loop(self.loop)
         late = own if self.late is self.loop else ball_loop(self.late)
         lag, one = max(own.lag, late.lag), flint.arb_poly([1])
@@ -340,12 +359,7 @@ class PidParts(AffineParts):
             "ki": by_position.times(summed),
             "kd": pole.times(by_velocity),
         }
-        base = _late(pole.times(own.free), lag - own.lag)
-        if self.value:
-            base = base.plus(parts[self.given].scaled(self.value))
-        return Triple.from_parts(
-            base, *(part for name, part in parts.items() if name != self.given)
-        )
+        return _late(pole.times(own.free), lag - own.lag), parts
 
 
 # ---------------------------------------------------------------------------------------- coupling
