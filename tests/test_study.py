@@ -557,8 +557,8 @@ KILL = "import os, sys, time; time.sleep(0.5); os.kill(int(sys.argv[1]), 9)"
 
 def test_a_safety_that_is_not_applied_is_said() -> None:
     table = {**TABLE, "wanted": {"safety": 0.8}}
-    planned = studies.plan_study(table, {"device.mass": [0.1, 0.2]})
-    assert planned.notes[0] == "wanted.safety is 0.8: limits are given without it."
+    _, notes = studies.plan_study(table, {"device.mass": [0.1, 0.2]})
+    assert notes[0] == "wanted.safety is 0.8: limits are given without it."
 
 
 # Bad input: one sentence each, before anything is computed.
