@@ -314,11 +314,11 @@ def _isolated(part: _Part, first: "tuple[arb, int]", last: "tuple[arb, int]") ->
         elif whole.rad() < shortest:
             found.append(Zero(whole, 0))
         else:
-            places = _around_zero(bend, a, b, shortest / 2) if turns == -1 else []
-            places = places or [_known_place(part, a, b)]
-            ends = [(a, sign_a), *((place, part.sign(place)) for place in places), (b, sign_b)]
-            if not all(sign for _, sign in ends[1:-1]):
+            around = _around_zero(bend, a, b, shortest / 2) if turns == -1 else []
+            places = [(t, part.sign(t)) for t in around] or [_known_place(part, a, b)]
+            if not all(sign for _, sign in places):
                 return None  # the balls tell nothing about all of the interval
+            ends = [(a, sign_a), *places, (b, sign_b)]
             intervals += reversed(list(pairwise(ends)))
     return found
 
@@ -332,13 +332,14 @@ def _around_zero(part: _Part, a: "arb", b: "arb", distance: "arb") -> "list[arb]
     return [place for place in places if a < place < b]
 
 
-def _known_place(part: _Part, a: "arb", b: "arb") -> "arb":
-    """A place about the middle of an interval, where the sign is known if it is anywhere."""
+def _known_place(part: _Part, a: "arb", b: "arb") -> "tuple[arb, int]":
+    """A place about the middle of an interval, and the sign there, if one can be known."""
     for share in range(6, 11):  # 16ths of an interval, where it is divided
         place = (a + (b - a) * share / 16).mid()
-        if part.sign(place):
+        sign = part.sign(place)
+        if sign:
             break
-    return place
+    return place, sign
 
 
 def _refined(part: _Part, a: "arb", b: "arb", sign_b: int) -> Zero | None:
