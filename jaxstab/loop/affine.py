@@ -38,7 +38,6 @@ from jaxstab.model.affine import (
     GivenParts,
     affine_triple,
     coordinates_of,
-    opened_loop,
 )
 from jaxstab.model.balls import Factored, Triple, rounded_triple
 from jaxstab.model.device.parts import working_precision
@@ -489,7 +488,7 @@ class Loop(TwoGains):
         return affine_triple(self.parts)
 
     def _opened(self, first: float, second: float) -> tuple[Factored, Factored]:
-        return opened_loop(self.parts, first, second)
+        return self.parts.opened(first, second)
 
     @property
     def _only_few(self) -> bool:

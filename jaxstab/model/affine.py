@@ -80,6 +80,15 @@ class AffineParts:
         a, b = exact(first), exact(second)
         return base + a * by_first + b * by_second
 
+    def opened(self, first: float, second: float) -> tuple[Factored, Factored]:
+        """D and N of the open loop N/D, opened where no gain moves the leading coefficient."""
+        coordinates, a, b = coordinates_of(self), flint.arb(first), flint.arb(second)
+        triple = affine_triple(coordinates.chart)
+        if not coordinates.are_gains:
+            weights: Any = tuple(_weights(affine_triple(self), coordinates.pivot))
+            a, b = coordinates._replace(weights=weights).of_gains(a, b)
+        return triple.base, triple.stiffness.scaled(a).plus(triple.damping.scaled(b))
+
     def is_reciprocal(self, start: tuple[float, float], along: tuple[float, float]) -> bool:
         """True if the roots of p(z) have the product 1 or -1 for all gains start + t along.
 
@@ -191,18 +200,6 @@ def _weights(whole: Triple, pivot: int) -> "list[arb]":
     """The weights of base and gains in the leading coefficient of p(z), over that of one part."""
     leading = [part.leading if part.degree == whole.degree else flint.arb(0) for part in whole]
     return [value / leading[pivot] for value in leading]
-
-
-def opened_loop(parts: AffineParts, first: float, second: float) -> tuple[Factored, Factored]:
-    """D and N of the open loop N/D, opened where no gain moves the leading coefficient of p(z)."""
-    if isinstance(parts, PidParts):
-        return parts.opened(first, second)
-    coordinates, a, b = coordinates_of(parts), flint.arb(first), flint.arb(second)
-    triple = affine_triple(coordinates.chart)
-    if not coordinates.are_gains:
-        weights: Any = tuple(_weights(affine_triple(parts), coordinates.pivot))
-        a, b = coordinates._replace(weights=weights).of_gains(a, b)
-    return triple.base, triple.stiffness.scaled(a).plus(triple.damping.scaled(b))
 
 
 @dataclass(frozen=True)
