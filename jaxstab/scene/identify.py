@@ -73,6 +73,7 @@ Unknowns = Float64[np.ndarray, "segment unknown"]  # initial position and veloci
 
 HISTORY = 100  # samples before the first segment: longer delays are not tried
 AHEAD = 8  # samples: shorter delays than -8, of columns shifted in time, are not tried
+_ODD = 1.5  # times what noise leaves: a larger residual has a reason
 _EXCITE = "excite the device more strongly, or with more changes of the force"
 
 
@@ -338,7 +339,7 @@ def identify_servo(
     mass, damping, late, _ = map(Estimate, values, values - half, values + half)
     noise = _explained(resolution, abs(step)) * float(np.linalg.norm(response))
     if not resolution and still:  # how much it shakes before the step
-        noise = max(noise, 1.5 * _rms(step * errors[:still]))
+        noise = max(noise, _ODD * _rms(step * errors[:still]))
     return _identified(
         [mass, damping, _NONE, _NONE, late.times(period, 0.0)], period, resolution, noise,
         (velocity, nan), "", measured[None], fitted[None],
@@ -683,7 +684,7 @@ def _estimator(
 
 def _explained(resolution: float | None, extent: float) -> float:
     """The largest residual that rounding explains: the encoder's, or that of a computed path."""
-    return 1.5 * resolution / sqrt(12.0) if resolution else 1e-6 * extent
+    return _ODD * resolution / sqrt(12.0) if resolution else 1e-6 * extent
 
 
 def _doubt(residual: Segments, resolution: float | None, noise: float, period: float) -> str:
