@@ -686,7 +686,6 @@ def identify(
     from jaxstab.scene.scene import Scene, Units
     from jaxstab.tables import parsed
 
-    keep_programs()
     gains = {name: given.pop(name) for name in ("kp", "kd")}
     is_servo = None not in gains.values()
     servos = (window_samples, *gains.values())  # options that nothing else has

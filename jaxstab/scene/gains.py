@@ -447,11 +447,12 @@ class MeasuredScene:
         if command == "check" and not self.walls:
             raise ValueError("walls is empty; give at least one wall with stiffness and damping.")
         loop, stable = self.loop, StableGains(self.loop, units=self.units)
+        plural = "" if loop.delay_samples == 1.0 else "s"
         inputs = {
             "device": str(loop.device),
             "velocity": str(loop.velocity or "the difference over one sample (assumed)"),
             "position": None if loop.position is None else str(loop.position),
-            "delay": f"{loop.delay_samples:g} samples beside what was measured",
+            "delay": f"{loop.delay_samples:g} sample{plural} beside what was measured",
             "certainty": MEASURED,
         }
         values: dict[str, Any] = {"inputs": GainAnswer(inputs), "safety": None}
