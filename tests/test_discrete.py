@@ -202,6 +202,27 @@ def test_54_a_sampled_device_has_the_limits_of_the_device_in_s(
     assert np.isnan(margins[0].extra_delay)
 
 
+@pytest.mark.parametrize("late", [0, 1, 7])
+def test_54_an_impact_on_a_device_in_z_is_a_push_for_one_of_its_steps(late: int) -> None:
+    stiffness, damping, period, count = 1000.0, 5.0, 1e-3, 4000
+    a, b, c, d = sampled_by_scipy(period / 4)
+    state, last, forces, positions = b[:, 0], 0.0, np.zeros(4 * count + late), np.zeros(count)
+    for k in range(count):
+        positions[k] = position = state[0]
+        begin = 4 * k + late
+        speed = (position - last) / period
+        forces[begin : begin + 4] = -stiffness * position - damping * speed
+        last = position
+        for force in forces[4 * k : 4 * k + 4]:
+            state = a @ state + b[:, 0] * force
+    settled = np.flatnonzero(abs(positions) > 0.02 * abs(positions).max())[-1] + 1
+
+    sampled = Device.discrete(a, b, c[:1], d[:1], step=period / 4)
+    loop = HapticLoop(device=sampled, sample_time=period, delay=late * period / 4)
+    found = loop.settling_time(stiffness, damping, excitation="impact")
+    assert float(found.value) == pytest.approx(settled * period, rel=1e-12)
+
+
 def test_54_systems_of_scipy_and_of_control_are_taken_with_their_steps() -> None:
     a, b, c, d = sampled_by_scipy(1e-3)
     one = a, b, c[:1], d[:1]
