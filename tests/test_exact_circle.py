@@ -288,6 +288,13 @@ def test_a_sum_is_positive_however_close_to_0_it_comes(height: float) -> None:
     assert decided(lambda: is_positive(chosen([1.0], [])())) is False
 
 
+@pytest.mark.parametrize("others", [0, 20])  # by powers, and by cells
+def test_a_sum_that_touches_0_is_not_called_positive(others: int) -> None:
+    with working_precision(192):
+        touching = chosen([1.0, 1.0], [complex(0.1 * k - 1.0, 0.7) for k in range(others)])()
+        assert is_positive(touching) is None
+
+
 def test_cells_meet_at_their_ends_wherever_these_are_moved_to() -> None:
     cells = _Cells([flint.arb(1)] * 4)
     for number in range(1, cells.count):
