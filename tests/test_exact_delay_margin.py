@@ -5,6 +5,7 @@ from functools import partial
 import flint
 import numpy as np
 import pytest
+import scipy.linalg
 
 from benchmarks.truth import filtered
 from benchmarks.truth.plain import Loop
@@ -124,6 +125,39 @@ def test_forms_over_an_interval_hold_the_values_in_it(samples: int) -> None:
                 for form, value in zip(forms, values, strict=True):
                     assert form.all.overlaps(value)
                     assert (form.middle + form.slope * (angle - middle)).overlaps(value)
+
+
+@pytest.mark.parametrize("damping", [0.3, 6000.0])  # the fast pole has 0.003 and 60 per sample
+@pytest.mark.parametrize("fraction", [(0.0, 1.0), (0.0, 0.5), (0.6, 0.7), (0.9, 1.0)])
+def test_the_response_to_late_forces_over_an_interval_has_its_values_and_slopes(
+    damping: float, fraction: tuple[float, float]
+) -> None:
+    """N[v(f)] = c adj(z - F) v(f), v(f) what a force held for 1 - f adds, by SciPy."""
+    period = 1e-3
+    rates = np.array([[0.0, 1.0, 0.0], [-200.0, -damping, 1.0], [0.0, 0.0, 0.0]]) / 0.1
+    rates[0, 1], rates[1, 2] = 1.0, 10.0
+    loop = HapticLoop(
+        device_mass=0.1, device_damping=damping, hand_stiffness=200.0, sample_time=period
+    )
+    held = scipy.linalg.expm(rates * period)[:2, :2]
+
+    def response(f: float, w: float, *, is_slope: bool) -> float:
+        late = scipy.linalg.expm(rates * period * (1.0 - f))
+        states = -(rates @ late)[:2, 2] * period if is_slope else late[:2, 2]
+        inverse = (1.0 + w) * np.eye(2) - held
+        return float(np.linalg.solve(inverse, states)[0] * np.linalg.det(inverse))
+
+    with flint.ctx.workprec(192):
+        sample = one_sample(loop.held_device, period)
+        search = _Search(ball_loop(loop), sample, 0.0, (100.0, 3.0))
+        (middle, everywhere), slopes = search._over_fraction(fraction)
+        for f in np.linspace(*fraction, 9).tolist():
+            for w in (-2.0, -0.3, 0.7):
+                truth = [response(f, w, is_slope=order) for order in (False, True)]
+                for ball, value in zip((everywhere(w), slopes(w)), truth, strict=True):
+                    assert abs(ball - value).lower() < 1e-12 * abs(value)
+        here = response(0.5 * sum(fraction), 0.7, is_slope=False)
+        assert float(middle(0.7)) == pytest.approx(here, rel=1e-9)
 
 
 @pytest.mark.parametrize("samples", [1, 7])

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from fractions import Fraction
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from campaign import many
 from flint import arb, arb_poly, fmpq
 
 from jaxstab.conventions import Verdict
-from jaxstab.exact.ranges import Axis, stable_over
+from jaxstab.exact.ranges import Axis, _clearance, stable_over
 from jaxstab.model.balls import Factored
 
 
@@ -69,6 +70,20 @@ def test_verdicts_over_rectangles_are_those_of_roots() -> None:
 def test_verdicts_over_many_rectangles_are_those_of_roots() -> None:
     found = judged(count := many(400, small=40))
     assert found[Verdict.UNDECIDED] <= 0.02 * count
+
+
+def test_the_clearance_is_a_polynomial_in_the_coefficients() -> None:
+    """a^(d+1) times the products of 1 - z_i^2 and of 1 - z_i z_l, by roots that are chosen."""
+    rng = np.random.default_rng(61)
+    for degree in range(1, 9):
+        pairs = rng.uniform(0.1, 0.95, degree // 2) * np.exp(1j * rng.uniform(0, 3, degree // 2))
+        roots = [*pairs, *pairs.conj(), *rng.uniform(-0.9, 0.9, degree % 2)]
+        falling = 1.25 * np.real(np.poly(roots))
+        known = 1.25 ** (degree + 1) * np.prod([1.0 - z**2 for z in roots])
+        known *= np.prod([1.0 - z * w for z, w in combinations(roots, 2)])
+        found = _clearance(Factored(arb_poly(falling[::-1].tolist())))
+        assert found is not None
+        assert float(found.mid()) == pytest.approx(known.real, rel=1e-9)
 
 
 @pytest.mark.parametrize("side", [1.0 - 1e-6, 1.0 + 1e-6])
