@@ -134,6 +134,12 @@ def test_guesses_are_near_the_roots_that_were_chosen_and_only_one_at_each_is_pro
             assert _as_many_as_counted(f, slope, wrong) is None
 
 
+def test_a_chain_with_a_member_that_is_0_at_an_end_is_not_counted() -> None:
+    """x^2 - 4x + 1 has one root in (-2, 2), and a slope of 0 at 2."""
+    f = flint.arb_poly([1, -4, 1])
+    assert _sturm_count(f, f.derivative()) is None
+
+
 def test_a_sum_with_coefficients_of_0_has_a_guess() -> None:
     assert _guesses([flint.arb(0), flint.arb(1)]) == pytest.approx([0.0], abs=1e-15)
 

@@ -289,6 +289,29 @@ def test_the_largest_term_is_looked_for_among_all_that_may_be_it() -> None:
         assert found._largest_ball(values, wrong) == more
 
 
+def test_after_a_blow_half_of_the_largest_term_is_no_less_than_half_by_rounding() -> None:
+    """0.5 and 2^-60 more, which its float64 does not have."""
+    with working_precision(192):
+        more = flint.arb(0.5) + flint.arb(2) ** -60
+        for second, expected in ((flint.arb(0.5), 1.0), (more, 2.0)):
+            head = np.array([[[1.0, 0.5, 0.0]]])
+            found = Responses(head, flint.arb_poly([1, second, 0]), late=2)
+            assert found.settled(0.5, 10, is_impact=True) == expected
+
+
+def test_a_ball_that_is_wider_than_a_small_level_is_not_below_it() -> None:
+    head = np.array([[[1.0, 0.9e-25]]])
+    with working_precision(192):
+        balls = flint.arb_poly([1, flint.arb(0.9e-25, 0.9e-24)])
+        modes = modes_of([Fraction(1, 2)])
+        ((pole, one),) = modes.balls
+        modes = modes._replace(
+            residues=1e-26 * modes.residues, sizes=1e-26 * modes.sizes, balls=[(pole, one * 1e-26)]
+        )
+        found = Responses(head, balls, modes)
+        assert found.settled(1e-25, 10, is_impact=True) == 2.0
+
+
 def test_after_a_blow_the_level_is_a_share_of_the_largest_deviation() -> None:
     """A tenth of 0.5; 0.15 is above it, and below a tenth over 0.5."""
     head = [0.5, 0.15, 0.01, 0.0]
