@@ -299,6 +299,16 @@ def test_after_a_blow_half_of_the_largest_term_is_no_less_than_half_by_rounding(
             assert found.settled(0.5, 10, is_impact=True) == expected
 
 
+def test_after_a_blow_terms_are_looked_at_down_to_a_share_of_the_largest() -> None:
+    """A half, and 1/2, 1/4, 1/8, ... behind it: the last one above a twentieth is 1/16."""
+    modes = modes_of([Fraction(1, 2)])
+    ((pole, one),) = modes.balls
+    halves = 0.5 * modes.residues, 0.5 * modes.sizes
+    modes = modes._replace(residues=halves[0], sizes=halves[1], balls=[(pole, one / 2)])
+    found = Responses(np.array([[[0.5]]]), flint.arb_poly([0.5]), modes)
+    assert found.settled(0.1, 100, is_impact=True) == 5.0
+
+
 def test_a_ball_that_is_wider_than_a_small_level_is_not_below_it() -> None:
     head = np.array([[[1.0, 0.9e-25]]])
     with working_precision(192):
