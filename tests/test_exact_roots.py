@@ -109,6 +109,13 @@ def test_poles_that_coincide_have_a_radius_but_are_not_told_apart() -> None:
     assert answer.error == np.inf
 
 
+def test_double_poles_may_be_farther_out_than_all_coefficients_add_up_to() -> None:
+    """(z^2 - 1/16)^2 has the poles 1/4 and -1/4 twice, and coefficients of 33/256 in all."""
+    square = flint.arb_poly([-0.0625, 0.0, 1.0])
+    found = spectral_radius(lambda: Triple(Factored(square * square), NOTHING, NOTHING), 0.0, 0.0)
+    assert abs(found.value - 0.25) <= found.error < 1e-15
+
+
 def test_a_ball_that_meets_the_real_axis_may_hold_one_of_a_pair() -> None:
     def ball(real: float, low: float, high: float) -> flint.acb:
         return flint.acb(real, flint.arb((low + high) / 2.0, (high - low) / 2.0))

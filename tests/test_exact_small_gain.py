@@ -123,7 +123,7 @@ def test_passive_walls_are_those_of_the_inequality_on_the_circle(delay: float) -
     whole, fraction = divmod(delay, 1.0)
     theta = np.linspace(0.0, np.pi, 40_001)[1:]
     late = np.exp(-1j * theta)
-    for alpha, beta in rng.uniform(0.0, 1.0, (6, 2)) * [1.0, 0.5]:
+    for alpha, beta in [*(rng.uniform(0.0, 1.0, (6, 2)) * [1.0, 0.5]), (0.0, 0.25)]:
         wall = alpha + beta * (1.0 - late)
         held = (1.0 - fraction) * late**whole + fraction * late ** (whole + 1.0)
         needed = ((1.0 - late) * wall * held).real / (2.0 - 2.0 * np.cos(theta))
