@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxstab import HandRange, HapticLoop
-from jaxstab.boxes.box import ParameterBoxes
+from jaxstab.boxes.enclosures import ParameterBoxes
 from jaxstab.boxes.polygons import RobustRegion
 from jaxstab.boxes.search import Guess, Paving, RobustStatus, paved, search
 from jaxstab.conventions import Verdict

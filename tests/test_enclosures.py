@@ -13,8 +13,15 @@ import numpy as np
 import pytest
 
 from jaxstab import Filter, Velocity
-from jaxstab.boxes.box import ParameterBoxes
-from jaxstab.boxes.enclosures import LinearModel, phasor, quotients, sinc, sine, variable
+from jaxstab.boxes.enclosures import (
+    LinearModel,
+    ParameterBoxes,
+    phasor,
+    quotients,
+    sinc,
+    sine,
+    variable,
+)
 from jaxstab.boxes.plant import (
     Arms,
     DeviceBoxes,

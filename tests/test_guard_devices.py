@@ -29,7 +29,7 @@ from jaxstab import (
     Verdict,
     build_guard,
 )
-from jaxstab.boxes.box import HAND, THETA, ParameterBoxes
+from jaxstab.boxes.enclosures import HAND, THETA, ParameterBoxes
 from jaxstab.boxes.plant import (
     _FAST,
     Arms,

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.boxes.box import HAND, THETA, ParameterBoxes
+from jaxstab.boxes.enclosures import HAND, THETA, ParameterBoxes
 from jaxstab.boxes.plant import Arms, DeviceBoxes, Extent
 from jaxstab.boxes.search import paved
 from jaxstab.conventions import Range

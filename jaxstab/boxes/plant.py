@@ -24,11 +24,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Complex128, Float64
 
-from jaxstab.boxes.box import HAND, THETA, ParameterBoxes, Rows
 from jaxstab.boxes.enclosures import (
+    HAND,
+    THETA,
     LinearModel,
     Moving,
+    ParameterBoxes,
     Quotient,
+    Rows,
     clearances,
     conjugate,
     disc,

@@ -1,7 +1,7 @@
 """Proof and search of claims about every loop of a range, over boxes of its parameters.
 
 A range is a box of loops. Hands and delays of a range, robust regions and guards differ in their
-axes (``box``); the plant (``plant``) and the three arguments below are the same for all of them.
+axes (``enclosures``); the plant (``plant``) and the three arguments below are the same for all.
 
 1. *No root on the circle.* Boxes are halved, along the axes that move the characteristic function
    most, until each of them is proved free of roots on the unit circle (``paved``; lemma B20 of
@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from jaxstab.boxes.box import ParameterBoxes, joined
+from jaxstab.boxes.enclosures import ParameterBoxes, joined
 from jaxstab.boxes.plant import BEYOND
 from jaxstab.conventions import Status
 from jaxstab.shown import exact_text, number_text

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Int64
 
 from jaxstab.boxes import HandRange
-from jaxstab.boxes.box import HAND
+from jaxstab.boxes.enclosures import HAND
 from jaxstab.boxes.hands import checked_range
 from jaxstab.boxes.plant import Arms, with_parts
 from jaxstab.boxes.search import paved

@@ -8,8 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from jaxstab.boxes import HandRange
-from jaxstab.boxes.box import THETA, ParameterBoxes, Rows
-from jaxstab.boxes.enclosures import LinearModel
+from jaxstab.boxes.enclosures import THETA, LinearModel, ParameterBoxes, Rows
 from jaxstab.boxes.hands import arms_over, spread_hands
 from jaxstab.boxes.plant import Arms, DeviceBoxes, Extent, FirstRow, HeldDevice
 from jaxstab.model import Device, LoopParameters
