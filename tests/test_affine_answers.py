@@ -223,6 +223,26 @@ def test_54_open_loops_close_to_the_poles_of_the_recursion(kind: str) -> None:
         assert closed == pytest.approx(radius(case, *gains.values()), abs=1e-5)
 
 
+@pytest.mark.parametrize("kind", ["kp-ki", "kp-kd"])
+def test_54_open_loops_of_pid_hold_the_given_gain(kind: str) -> None:
+    pytest.importorskip("control")
+    for case in drawn(kind, 3, seed=8):
+        if not (gains := stable_gains(case)):
+            continue
+        opened = case.matrix(0.0, 0.0, is_open=True)
+        closed = case.matrix(*gains.values())
+        for z in np.exp(1j * np.array([0.3, 1.0, 2.5])):
+            below, whole = (np.linalg.det(z * np.eye(len(m)) - m) for m in (opened, closed))
+            assert case.loop.to_control(**gains)(z) == pytest.approx(whole / below - 1.0, rel=1e-6)
+
+
+def test_no_loop_is_opened_where_gains_take_the_highest_power() -> None:
+    pytest.importorskip("control")
+    robot = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
+    with pytest.raises(ValueError, match="mass is 0 and damping is 50, where p"):
+        robot.to_control(mass=0.0, damping=50.0)
+
+
 def test_54_pictures_say_gains_and_units() -> None:
     device = jaxstab.Device.mass_spring_damper(mass=0.25, damping=0.1)
     held = jaxstab.HapticLoop(device=device, sample_time=1e-3, delay=1e-3)

@@ -18,8 +18,8 @@ from jaxstab import exact, motion, point
 from jaxstab.arrays import Array, Numbers, is_any_jax, is_any_traced, namespace
 from jaxstab.conventions import Verdict
 from jaxstab.loop.frequency import FrequencyMargins, wall_frequency_margins
-from jaxstab.model.balls import Factored
-from jaxstab.model.parameters import wall_grid
+from jaxstab.model.balls import Factored, Triple, rounded_triple
+from jaxstab.model.parameters import checked_gain, wall_grid
 from jaxstab.numbers import checked_number, checked_word
 
 if TYPE_CHECKING:
@@ -278,17 +278,23 @@ class TwoGains:
             >>> loop.to_control(1000.0, 10.0).dt  # doctest: +SKIP
         """
         pair = self._named(wall, gains)
-        first, second = self._in_units(*(checked_number(*gain) for gain in pair.items()))
+        first, second = (checked_number(name, checked_gain(name, x)) for name, x in pair.items())
         try:
             from control import TransferFunction
         except ImportError as error:
             raise ImportError(
                 "python-control is not installed; pip install 'jaxstab[control]'."
             ) from error
-        loop = self._pairs
-        sides = zip(loop.stiffness, loop.damping, strict=True)
-        above = [float((k * float(first) + b * float(second)).rounded()) for k, b in sides]
-        below = [float(coefficient.rounded()) for coefficient in loop.base]
+
+        def opened() -> Triple:
+            below, above = self._opened(first, second)
+            return Triple.from_parts(below, above, above.scaled(0)).monic()
+
+        loop = rounded_triple(opened, 1.0, 1.0)
+        above, below = ([float(c.rounded()) for c in side] for side in (loop.stiffness, loop.base))
+        if not np.all(np.isfinite(above)):
+            words = " and ".join(f"{name} is {number:g}" for name, number in pair.items())
+            raise ValueError(f"{words}, where p(z) loses its highest power; give other gains.")
         return TransferFunction(above, below, dt=float(self.sample_time))
 
     def _named(self, wall: tuple[Any, ...], gains: Mapping[str, Any]) -> dict[str, Any]:
