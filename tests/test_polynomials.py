@@ -140,6 +140,15 @@ def test_coefficients_of_any_size_are_told_apart() -> None:
     assert jaxstab.is_schur([1e300, 1e-300]) == Verdict.STABLE
 
 
+@pytest.mark.parametrize("scale", [1e-307, 1e-300, 1e-250, 1e300])
+def test_numbers_that_xla_takes_for_zero_are_not_left_out(scale: float) -> None:
+    """Roots at -0.96 and -0.29; without the last coefficient one is at -1.25."""
+    falling = scale * np.array([0.296, 0.3703, 0.08216])
+    code, found = (question(jnp.array(falling)) for question in (jaxstab.is_schur, jaxstab.radius))
+    assert code == (Verdict.STABLE if scale > 1e-270 else Verdict.UNDECIDED)
+    assert abs(found.value - float(jaxstab.radius(falling).value)) <= found.error + 1e-12
+
+
 @pytest.mark.parametrize("degree", [7, 8, 9])
 def test_a_batch_of_any_degree_is_compiled(rng: np.random.Generator, degree: int) -> None:
     """At degree 8, modulus and Horner's rule in one kernel took XLA minutes."""

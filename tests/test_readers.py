@@ -123,6 +123,8 @@ def test_verdicts_on_any_polynomial_are_those_of_exact_roots(
     assert np.mean(codes == Verdict.UNDECIDED) < 0.05
     odd = np.array([[0.0] * 7, [np.nan] * 7, [1.0] + [np.inf] * 6, [1.0] * 7])
     assert asked(program, odd, "polynomials").tolist() == [Verdict.UNDECIDED] * 4
+    lost = 5e-324 * np.array([[56.0, -44.0, 48.0, 5.0, -12.0, 1.0, 0.0]])  # 1.0033 is a modulus
+    assert asked(program, lost, "polynomials") != Verdict.STABLE
 
 
 def test_extreme_numbers_are_answered_without_a_fault(program: Path) -> None:

@@ -9,7 +9,7 @@ fractions. Where JAX has the coefficients, float64 is all there is.
 from functools import partial
 
 import numpy as np
-from jaxtyping import Float64, Int8
+from jaxtyping import Bool, Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, constant, float_arrays, is_any_jax, named, namespace
 from jaxstab.batches import MANY_COEFFICIENTS, compiled
@@ -35,7 +35,8 @@ def is_schur(coefficients: Numbers) -> Int8[Array, "*grid"]:
     Returns:
         int8 codes of ``jaxstab.Verdict``, of shape (...): STABLE or UNSTABLE for the numbers as
         they are. Of JAX arrays, what float64 leaves open is UNDECIDED: roots within about 1e-12 of
-        the circle, or closer together, and polynomials whose first coefficient is 0.
+        the circle, or closer together, and polynomials whose first coefficient is 0, or below
+        1e-270.
 
     Raises: ValueError for less than two coefficients, one that is not finite or that float64
         rounds, and a first one of 0 (arrays of JAX apart); TypeError without float64, and for what
@@ -67,7 +68,7 @@ def radius(coefficients: Numbers) -> SpectralRadius:
 
     Returns:
         SpectralRadius of shape (...). Of JAX arrays the bound is infinite where float64 proves
-        none, as for multiple roots.
+        none, as for multiple roots, and a first coefficient below 1e-270.
 
     Raises: as ``is_schur``: ValueError, TypeError.
 
@@ -133,6 +134,11 @@ def _floats(coefficients: Numbers) -> Float64[np.ndarray, "..."]:
     return given
 
 
+def _is_held(coefficients: Array) -> Bool[Array, "*grid"]:
+    """True where no number that XLA takes for 0, below 2.3e-308, counts beside the first one."""
+    return abs(coefficients[..., 0]) > 1e-270
+
+
 def _monic(coefficients: Array) -> Array:
     """Polynomials with the first coefficient 1, with roots at 0 where the degree is low."""
     least_degree = 3  # of the kernels
@@ -158,7 +164,7 @@ def codes_in_float64(coefficients: Array, *, roundings: float = 0.0) -> Array:
         end_error = error + degree * UNIT * size
         ends = Ends(even + odd, end_error, even - odd, end_error)  # (-1)^n p(-1)
         codes = polynomial_codes(columns, error, ends, UNIT, degree)
-        is_one = xp.all(xp.isfinite(coefficients), axis=-1) & (coefficients[..., 0] != 0.0)
+        is_one = xp.all(xp.isfinite(coefficients), axis=-1) & _is_held(coefficients)
     return xp.where(is_one, codes, np.int8(Verdict.UNDECIDED))
 
 
@@ -173,7 +179,8 @@ def _radii(coefficients: Array) -> tuple[Array, Array]:
 
         value = largest_modulus(monic)
     with np.errstate(all="ignore"):
-        return value, radius_error(*constant((monic, value)))
+        error = radius_error(*constant((monic, value)))
+        return value, namespace(error).where(_is_held(constant(coefficients)), error, np.inf)
 
 
 def _parts(coefficients: list[float]) -> GivenParts:

@@ -70,11 +70,12 @@ static inline int jaxstab_recursion(double *p, double *error, int n, int is_posi
 }
 
 /* The verdict on a polynomial of degree n <= JAXSTAB_DEGREE with real coefficients taken as exact, the
- * highest power first: of any other loop, of which you know p. */
+ * highest power first: of any other loop, of which you know p. The first one is not below 1e-150: what
+ * underflows, 2^-1074 at a time, then counts less than the bounds are rounded up. */
 static inline int jaxstab_polynomial_verdict(const double *p, int n)
 {
     double q[JAXSTAB_DEGREE + 1], error[JAXSTAB_DEGREE + 1];
-    if (n < 0 || n > JAXSTAB_DEGREE || !(jaxstab_abs(p[0]) > 0.0))
+    if (n < 0 || n > JAXSTAB_DEGREE || !(jaxstab_abs(p[0]) > 1e-150))
         return JAXSTAB_UNDECIDED;
     for (int i = 0; i <= n; i++) {
         q[i] = p[0] < 0.0 ? -p[i] : p[i];
