@@ -22,7 +22,7 @@ from benchmarks.truth.filtered import FilteredLoop, average, difference, low_pas
 from jaxstab import Device, Filter, HapticLoop, Mode, Velocity, Verdict, limits_of, regions_of
 from jaxstab.batches import ahead
 from jaxstab.loop import many as loops_together
-from jaxstab.loop.samples import _are_unstable
+from jaxstab.loop.many import _are_unstable
 from jaxstab.model.filters import has_roots_inside
 from jaxstab.point.polynomials import codes_in_float64
 from jaxstab.region.batch import (

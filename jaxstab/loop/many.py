@@ -8,6 +8,15 @@ formed, so that few coefficients are held at once. Where the scan of a loop miss
 of the boundary, most often a narrow one next to a vibration mode, it is scanned again with angles
 that come closer and closer to where that piece begins. What a program does not resolve then, and
 groups too small to compile for, are answered as ``HapticLoop.limits`` answers.
+
+Parts of other loops come from their balls one by one, rounded once to pairs of float64. All else is
+found for all of one degree at once, in float64, from samples of base and S around the circle:
+
+- *poles*, the angles where Im(conj(S) R) changes its sign: the curve goes to infinity there;
+- *roots* of base and of S next to the circle: where one of them is small between two neighbours,
+  Newton's method leads to the root; the slowest pair follows from the last powers of z - 1.
+
+A loop of which an angle is missed is not resolved by a batch, and is answered by itself.
 """
 
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
@@ -18,20 +27,24 @@ from math import prod
 from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int8, Int64
+from jaxtyping import Bool, Complex128, Float64, Int8, Int64
 
 from jaxstab.arrays import Array, is_any_jax, is_any_traced, leaves, namespace, take, tree_map
 from jaxstab.batches import ahead, alike, in_float64
+from jaxstab.conventions import Verdict
+from jaxstab.exact import TripleAt
+from jaxstab.exact.verdict import roots_outside
 from jaxstab.loop.affine import GainLimits, Loop
-from jaxstab.loop.samples import Formed, sampled_loops
 from jaxstab.model import LoopParameters, require_x64
 from jaxstab.model.affine import AdmittanceParts, affine_triple
-from jaxstab.model.balls import ball_triple
+from jaxstab.model.balls import Factored, ball_triple
+from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import NO_FILTERS, Filters, behind_measured, exact_chain, given_filters
 from jaxstab.model.linear_loop import Polynomial, filter_factors, filtered_loop
 from jaxstab.model.loop import array_fields, as_one
 from jaxstab.numbers import require_together
+from jaxstab.point.polynomials import codes_in_float64
 from jaxstab.region import RegionStatus
 from jaxstab.region.curve import Angles
 from jaxstab.region.outline import vertex_roots
@@ -46,6 +59,9 @@ _AT_ONCE = 256  # loops that a program takes
 _FORMED = 2048  # loops of one mass that are formed at once
 _SCANS = 3  # of a loop, at most
 _DEGREES = (5, 9, 17, 25, 41, 65)  # up to which p(z) are filled: each program takes memory
+_SAMPLES = 512  # of half the circle
+_STEPS = 4  # of Newton's method
+_NO_ROOT = 0.0, 0.05  # its angle, and its distance from the circle
 _FEWEST = dict(zip(_DEGREES, (400, 400, 400, 400, 200, 100), strict=True))
 """Loops of a degree for which a program is compiled, which takes longer, or is in the cache."""
 
@@ -57,8 +73,24 @@ Outlines = tuple[
     Float64[np.ndarray, "*loop"],
 ]
 Units = Float64[np.ndarray, "loop 2"]
-_Group = tuple[list[Formed], "Triples", Callable[..., Any]]
+Rows = Float64[np.ndarray, "loop power"]
 Form = tuple[float, Filters]  # of p(z) for one mass: the delay in samples, estimator and filter
+
+
+class Formed(NamedTuple):
+    """Loops that are formed together, as arrays: while they wait, these take the least memory."""
+
+    members: Indices
+    parts: DoubleDouble  # (loop, part, power) coefficients of p(z)
+    ends: Float64[Array, "loop 2 3"]
+    poles: Float64[np.ndarray, "loop pole"]  # angles where the curve goes to infinity
+    roots: Float64[Array, "loop root 2"]  # next to the circle: angles and distances
+    units: Units  # of answers, in those of the parts
+    turned: Bool[np.ndarray, " loop"]  # the second gain takes the place of the first one
+    unstable: Bool[np.ndarray, " loop"]  # with small gains
+
+
+_Group = tuple[list[Formed], "Triples", Callable[..., Any]]
 
 
 class ManyLimits(NamedTuple):
@@ -526,7 +558,7 @@ def _formed(stacks: list[Stack], *, in_charts: bool = False) -> Iterator[Formed]
     for start in range(0, len(devices), _AT_ONCE):
         block, loops = zip(*devices[start : start + _AT_ONCE], strict=True)
         triples = [partial(ball_triple, loop) for loop in loops]
-        yield from sampled_loops(np.concatenate(block), triples, _DEGREES)
+        yield from sampled_loops(np.concatenate(block), triples)
 
 
 def _of_gains(members: Indices, loops: list[Loop], *, in_charts: bool = False) -> Iterator[Formed]:
@@ -535,7 +567,7 @@ def _of_gains(members: Indices, loops: list[Loop], *, in_charts: bool = False) -
         block = members[start : start + _AT_ONCE].tolist()
         block = [k for k in block if in_charts or loops[k]._chart.are_gains]
         triples = [partial(affine_triple, loops[k]._chart.chart) for k in block]
-        yield from sampled_loops(np.array(block, int), triples, _DEGREES)
+        yield from sampled_loops(np.array(block, int), triples)
 
 
 def _masses(
@@ -672,28 +704,19 @@ def _poles(filters: Filters) -> Angles | None:
     """Return the angles in (0, pi) where V/P is real; None for filters left to single answers.
 
     These are filters that leave float64 few digits, those with P(1) = 0, and measured velocities.
-
-    The imaginary part of X/Y, times |Y|^2, is a series of sines: the odd part of X(z) Y(1/z).
     """
-    on_circle = 1e-6  # a root of Im V this close to the circle is on it
     ill_conditioned = 1e8  # a denominator's coefficients, over its least size on the circle
     if behind_measured(filters[0]) is not None:
         return None
-    below, y, x = (
-        np.array([float(c.rounded()) for c in part]) for part in filter_factors(filters).parts
-    )
-    circle = np.exp(1j * np.geomspace(1e-3, np.pi, 64))
-    least = np.min(np.abs(np.prod(circle[:, None] - np.roots(below), axis=1)))
-    at_rest = exact_chain(filters[1].sections)[0](1)
-    if np.sum(np.abs(below)) >= ill_conditioned * least or at_rest == 0:
+    rows = filter_factors(filters).parts
+    parts = np.zeros((1, 3, max(map(len, rows))))
+    for part, row in zip(parts[0], rows, strict=True):
+        part[: len(row)] = [float(c.rounded()) for c in row]
+    values = _on_circle(parts)
+    least, size = np.min(np.abs(values[0, 0])), np.sum(np.abs(parts[0, 0]))
+    if size >= ill_conditioned * least or exact_chain(filters[1].sections)[0](1) == 0:
         return None
-    length = max(len(x), len(y))
-    x, y = (np.append(p, np.zeros(length - len(p))) for p in (x, y))
-    series = np.convolve(x, y[::-1])
-    roots = np.roots(series - series[::-1])
-    roots = roots[np.abs(np.log(np.maximum(np.abs(roots), 1e-300))) < on_circle]
-    angles = np.angle(roots)
-    poles: Angles = np.sort(angles[(angles > on_circle) & (angles < np.pi - on_circle)])
+    poles: Angles = _infinite(parts, values)[0]
     return poles
 
 
@@ -722,3 +745,155 @@ def _scans(formed: Formed, degree: int) -> Float64[Array, "loop angle"]:
     own = xp.clip(mirrored, 2.0 * first, np.pi - 2.0 * first).reshape(len(angle), -1)
     near = near.reshape(len(own), poles)
     return xp.sort(xp.concatenate([xp.tile(shared, (len(own), 1)), near, own], axis=1))
+
+
+def sampled_loops(members: Indices, triples: Sequence[TripleAt]) -> Iterator[Formed]:
+    """Loops by their balls, filled up to one of the degrees, those with as many poles together.
+
+    Gains are in units that make them of size 1. Where the second one alone moves p(1), it takes the
+    place of the first.
+    """
+    every = list(map(_rounded, triples))
+    filled = [min((n for n in _DEGREES if n >= len(row[0][0]) - 1), default=0) for row in every]
+    for own in map(np.array, alike(filled)):
+        degree = filled[own[0]]
+        if not degree:
+            continue
+        rows = np.zeros((2, own.size, 3, degree + 1))
+        for k, place in enumerate(own):
+            rows[:, k, :, : len(every[place][0][0])] = every[place][:2]
+        scale = 2.0 ** -np.round(np.log2(np.abs(rows[0]).sum(axis=-1)))
+        scale[:, 0] = 1.0
+        parts, ends = rows * scale[..., None], np.array([every[k][2] for k in own]) * scale[:, None]
+        turned = (ends[:, 0, 1] == 0.0) & (ends[:, 0, 2] != 0.0)
+        for rest in (parts[0], parts[1], scale, ends.transpose(0, 2, 1)):
+            rest[turned, 1:] = rest[turned, :0:-1]
+        unstable = _are_unstable([every[k][3] for k in own])
+        with np.errstate(all="ignore"):  # NaN tells where nothing is found
+            values = _on_circle(parts[0])
+            poles = _infinite(parts[0], values)
+            near = [_slowest(parts[0, :, 0]), *(_near(parts[0], values, k) for k in (0, 1))]
+        roots = np.concatenate(near, axis=1)
+        order = np.argsort(roots[..., 1], axis=1)[..., None]
+        roots = np.take_along_axis(roots, order, axis=1)
+        counts = np.sum(np.isfinite(poles), axis=1)
+        for kind in map(np.array, alike(counts.tolist())):
+            there = np.any(roots[kind, :, 0] != 0.0, axis=0)
+            yield Formed(
+                members[own[kind]],
+                DoubleDouble(*parts[:, kind]),
+                ends[kind],
+                poles[kind, : counts[kind[0]]],
+                roots[kind, : max(1, int(np.sum(there)))],
+                scale[kind, 1:],
+                turned[kind],
+                unstable[kind],
+            )
+
+
+def _rounded(triple_at: TripleAt) -> tuple[Any, Any, Any, Any]:
+    """Coefficients of the parts, highest power first, what rounding took from them, and ends.
+
+    Last the factor of base without roots at 0, 1 and -1.
+    """
+    with working_precision(FIRST_BITS):
+        triple = triple_at().monic()
+        degree, sign = triple.degree, (-1) ** triple.degree
+        high, low = zip(*(_pairs(part, degree) for part in triple), strict=True)
+        ends = [[float(part.at_end(z)) * s for part in triple] for z, s in ((1, 1), (-1, sign))]
+    return high, low, ends, triple.base.rest
+
+
+def _are_unstable(rests: list[Any]) -> Bool[np.ndarray, " loop"]:
+    """True where roots of base are outside, so far that small gains do not bring them in."""
+    radius, roundings = 1.0 + 1e-9, 4.0  # of a coefficient, of a power of the radius, a product
+    count = max(2, *map(len, rests))
+    falling = np.zeros((len(rests), count))
+    for k, rest in enumerate(rests):
+        falling[k, : len(rest)] = rest.coeffs()[::-1]
+    codes = codes_in_float64(falling * radius ** np.arange(count)[::-1], roundings=roundings)
+    is_outside = codes == Verdict.UNSTABLE
+    for k in np.flatnonzero(codes == Verdict.UNDECIDED).tolist():
+        with working_precision(FIRST_BITS):
+            around = Factored(rests[k]).of_radius(radius).rest
+            is_outside[k] = bool(roots_outside(around, most=0))
+    return is_outside
+
+
+def _pairs(part: Factored, degree: int) -> tuple[list[float], list[float]]:
+    """The coefficients of a polynomial, highest power first, and what rounding took from them."""
+    whole = part.polynomial()
+    falling = [whole[power] for power in range(degree, -1, -1)]
+    high = list(map(float, falling))
+    return high, [float(c - h) for c, h in zip(falling, high, strict=True)]
+
+
+def _on_circle(falling: Float64[np.ndarray, "loop 3 power"]) -> Any:
+    """The values of polynomials, but for a power of z, at angles between 0 and pi."""
+    return np.fft.rfft(falling, 2 * _SAMPLES)[..., 1:-1]
+
+
+def _at(z: Complex128[np.ndarray, " row"], *parts: Rows) -> list[tuple[Any, Any]]:
+    """The values of polynomials at one place each, and their derivatives times z."""
+    count = parts[0].shape[1]
+    powers = np.ones((z.size, count), complex)
+    powers[:, :-1] = np.cumprod(np.broadcast_to(z[:, None], (z.size, count - 1)), axis=1)[:, ::-1]
+    order = np.arange(count)[::-1]
+    terms = (rows * powers for rows in parts)
+    return [(own.sum(axis=1), np.einsum("rp,p->r", own, order)) for own in terms]
+
+
+def _infinite(
+    parts: Float64[np.ndarray, "loop 3 power"], values: Any
+) -> Float64[np.ndarray, "loop _"]:
+    """The angles where Im(conj(S) R) changes its sign, and NaN behind them."""
+    det = values[:, 1].real * values[:, 2].imag - values[:, 1].imag * values[:, 2].real
+    loop, place = np.nonzero((det[:, 1:] > 0.0) != (det[:, :-1] > 0.0))
+    share = det[loop, place] / (det[loop, place] - det[loop, place + 1])
+    step, low = np.pi / _SAMPLES, (place + 1) * (np.pi / _SAMPLES)
+    angle = low + share * step
+    for _ in range(_STEPS):
+        (s, s_slope), (r, r_slope) = _at(np.exp(1j * angle), parts[loop, 1], parts[loop, 2])
+        slope = (s.conj() * r_slope - s_slope.conj() * r).real  # d/dtheta is iz d/dz
+        angle = np.clip(angle - (s.conj() * r).imag / slope, low, low + step)
+    return _in_rows(loop, angle, len(parts))
+
+
+def _near(parts: Float64[np.ndarray, "loop 3 power"], values: Any, part: int) -> Any:
+    """The roots of a part next to the circle."""
+    step, farthest = np.pi / _SAMPLES, 0.05
+    rows, squares = parts[:, part], np.abs(values[:, part]) ** 2
+    before, here, after = squares[:, :-2], squares[:, 1:-1], squares[:, 2:]
+    bend = (before + after - 2.0 * here) / (2.0 * step**2)  # here is that times distance squared
+    loop, place = np.nonzero((here < before) & (here < after) & (here < bend * farthest**2))
+    z = np.exp(1j * (place + 2) * step)
+    for _ in range(_STEPS):
+        ((value, slope),) = _at(z, rows[loop])
+        z = z - z * value / slope
+    found = _in_rows(loop, _places(z), len(rows))
+    return np.where(np.isnan(found), _NO_ROOT, found)
+
+
+def _slowest(base: Rows) -> Any:
+    """The pair of roots of base next to 1, by its last powers of z - 1."""
+    powers = np.arange(base.shape[1])[::-1]
+    a, b, c = (base @ weight for weight in (0.5 * powers * (powers - 1), powers, powers**0))
+    return _places(1.0 + (np.sqrt(b * b - 4.0 * a * c + 0j) - b) / (2.0 * a))[:, None]
+
+
+def _places(root: Complex128[np.ndarray, " root"]) -> Float64[np.ndarray, "root 2"]:
+    """Angles of roots, and distances from the circle; far from it, or real, they are none."""
+    narrowest, farthest, real = 1e-9, _NO_ROOT[1], 1e-6
+    angle, distance = np.abs(np.angle(root)), np.abs(np.log(np.abs(root)))
+    is_one: Bool[np.ndarray, " root"] = (angle > real) & (angle < np.pi - real)
+    is_one &= distance < farthest
+    places = np.stack([angle, np.maximum(distance, narrowest)], axis=-1)
+    return np.where(is_one[:, None], places, _NO_ROOT)
+
+
+def _in_rows(loop: Indices, found: Any, count: int) -> Any:
+    """The values found for loops, in their order, as a row for each; NaN fills them up."""
+    counts = np.bincount(loop, minlength=count)
+    rows = np.full((count, int(np.max(counts, initial=0)), *found.shape[1:]), np.nan)
+    rows[loop, np.arange(loop.size) - (np.cumsum(counts) - counts)[loop]] = found
+    return rows
