@@ -21,9 +21,8 @@ from jaxstab.boxes.hands import HandRange
 from jaxstab.conventions import Verdict
 from jaxstab.exact import wall_verdict
 from jaxstab.exact.ranges import Axis, stable_over
-from jaxstab.loop.affine import Loop
+from jaxstab.loop.affine import Loop, simulated_pd
 from jaxstab.loop.backwards import Scan, stable_values
-from jaxstab.loop.doors import simulated_pd
 from jaxstab.loop.hands import LoopsWithHands
 from jaxstab.loop.loop import HapticLoop
 from jaxstab.loop.margins import crossings_of, ends_of_gains
@@ -174,7 +173,7 @@ class JointLoop:
         """The growth of both gains, and of the delay, with one inertia."""
         loop, (kp, kd), later = self.loop(inertia), self.gains, nan
         if isinstance(loop, Loop) or self.control.rule or self.drifts:
-            ends = [crossing.end for crossing in ends_of_gains(loop._triple, self.gains)]
+            ends = [end for end, _ in ends_of_gains(loop._triple, self.gains)]
         else:
             ends = crossings_of(loop.in_floats(), self.gains)[1::2]
             later = ends[4] * self.control.sample_time

@@ -12,9 +12,16 @@ from jaxstab import motion, point
 from jaxstab.arrays import Array, Numbers, is_any_jax, is_any_traced, named, pytree
 from jaxstab.conventions import HORIZON, Excitation, Range, Verdict
 from jaxstab.exact import StableLine
-from jaxstab.loop.frequency import FrequencyMargins, delay_reading, wall_frequency_margins
 from jaxstab.loop.gains import Gain, TwoGains
-from jaxstab.loop.margins import Margins, in_si_units, loop_margins, margins
+from jaxstab.loop.margins import (
+    FrequencyMargins,
+    Margins,
+    delay_reading,
+    in_si_units,
+    loop_margins,
+    margins,
+    wall_frequency_margins,
+)
 from jaxstab.loop.measured import measured
 from jaxstab.loop.region import TOLERANCE, Gains, WallLimits, WallRegion, wall_region
 from jaxstab.model import LoopParameters, by_name, checked_gain

@@ -29,7 +29,7 @@ from jaxtyping import Complex128, Float64, Int8
 from jaxstab.arrays import Array, Numbers, named
 from jaxstab.conventions import Code, Verdict
 from jaxstab.exact.line import End, Interval, LineStatus, StableLine
-from jaxstab.loop.frequency import AtFrequency, FrequencyMargins
+from jaxstab.loop.margins import AtFrequency, FrequencyMargins
 from jaxstab.loop.region import WallLimits
 from jaxstab.model import LoopParameters
 from jaxstab.model.device.discrete import MeasuredResponse

@@ -12,7 +12,7 @@ from jaxstab.arrays import tree_map
 from jaxstab.conventions import Verdict
 from jaxstab.loop import FrequencyMargins as LoopFrequencyMargins
 from jaxstab.loop import Gains, HapticLoop
-from jaxstab.loop.frequency import wall_frequency_margins
+from jaxstab.loop.margins import wall_frequency_margins
 from jaxstab.motion import Settling as MotionSettling
 from jaxstab.motion import SettlingStatus
 from jaxstab.rounding import EPS
