@@ -334,7 +334,7 @@ def test_boxes_of_hands_keep_the_distance_of_moving_delays_themselves() -> None:
     moving, hands = {"delays": (0.0, 0.5 * T), "lost": 3}, HandRange(damping=(0.1, 1.0))
     lowest = HapticLoop(device_mass=0.1, device_damping=0.15, sample_time=T)
     limits = lowest.limits(**moving)
-    loops = LoopsWithHands(HapticLoop(sample_time=T, device=device), hands, moving=moving)
+    loops = LoopsWithHands(HapticLoop(sample_time=T, device=device), hands, **moving)
     wall = 1.05 * limits.stiffness, limits.damping
     assert lowest.verdict(*wall) == Verdict.STABLE
     assert lowest.verdict(*wall, **moving) == Verdict.UNDECIDED

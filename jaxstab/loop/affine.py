@@ -36,14 +36,14 @@ from jaxstab.model.affine import (
     RULES,
     AdmittanceParts,
     AffineParts,
+    Chart,
     Coefficient,
-    Coordinates,
     CouplingParts,
     GivenParts,
     PidParts,
     SimulatedParts,
     affine_triple,
-    coordinates_of,
+    chart_of,
 )
 from jaxstab.model.balls import Factored, Triple, rounded_triple
 from jaxstab.model.device.device import Device, in_steps
@@ -315,7 +315,7 @@ class Loop(TwoGains):
               islands  none found
         """
         tolerance = checked_number("tolerance", tolerance, 1e-10, is_open=True)
-        return GainRegion(self, region_of(ScaledLoop(self._chart.chart, self._scale), tolerance))
+        return GainRegion(self, region_of(ScaledLoop(self._chart, self._scale), tolerance))
 
     def limits(self) -> GainLimits:
         """The largest stable value of each gain, or the least, as of an admittance.
@@ -355,7 +355,7 @@ class Loop(TwoGains):
             crossed = crossed[(share > 0.0) & (share < 1.0) & is_edge[:, None]]
             weights = np.array(self._chart.weights)
             corners = np.diag(1.0 / weights)[weights > 0.0]
-            chart = np.delete(corners, self._chart.pivot, axis=1) / main.units
+            chart = np.delete(corners, self._chart.by, axis=1) / main.units
             corners = corners[main.region.contains(*chart.T)]
             whole = np.concatenate([here, crossed, corners])
             whole[np.abs(whole) < 1e-9 * np.abs(whole).max(axis=0)] = 0.0
@@ -519,22 +519,22 @@ class Loop(TwoGains):
         return of_chart[0] / self._scale[0], of_chart[1] / self._scale[1]
 
     @cached_property
-    def _chart(self) -> Coordinates:
-        return coordinates_of(self.parts)
+    def _chart(self) -> Chart:
+        return chart_of(self.parts)
 
     @cached_property
     def _scale(self) -> tuple[float, float]:
         """Units in which gains of the chart are of size 1."""
-        return _units(self._chart.chart)
+        return _units(self._chart)
 
     @cached_property
     def _pairs(self) -> LinearLoop:
         first, second = self._scale
-        chart = partial(affine_triple, self._chart.chart)
+        chart = partial(affine_triple, self._chart)
         return rounded_triple(lambda: chart().monic(), 1.0 / first, 1.0 / second)
 
 
-def _over_leading(gains: tuple[Gain, Gain], chart: Coordinates) -> tuple[Gain, Gain]:
+def _over_leading(gains: tuple[Gain, Gain], chart: Chart) -> tuple[Gain, Gain]:
     """The gains of a chart, named by what they are over the leading coefficient."""
     names, units = ("", *(gain.name for gain in gains)), ("", *(gain.unit for gain in gains))
     terms = [
@@ -543,11 +543,11 @@ def _over_leading(gains: tuple[Gain, Gain], chart: Coordinates) -> tuple[Gain, G
         if weight
     ]
     leading = " ".join(terms).removeprefix("+ ")
-    per = f"/({units[chart.pivot]})" if units[chart.pivot] else ""
+    per = f"/({units[chart.by]})" if units[chart.by] else ""
     first, second = (
         Gain(f"{name or 1}/({leading})", f"{unit or 1}{per}" if per else unit)
         for k, (name, unit) in enumerate(zip(names, units, strict=True))
-        if k != chart.pivot
+        if k != chart.by
     )
     return first, second
 

@@ -7,7 +7,7 @@ is proved for all.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial, reduce
 from itertools import product
 from math import isfinite, nan
@@ -68,17 +68,24 @@ class LoopsWithHands:
     """A loop with its device and all hands of a range, in place of its hand; a grip stays.
 
     ``mass`` is the lowest and the highest mass of the device in kg, None for its own. ``delay`` is
-    the range of constant delays in s, None for that of the loop; ``moving`` has the keywords
-    ``delays`` and ``lost`` of one that moves. Errors: as ``HapticLoop.worst_hand``.
+    the range of constant delays in s, None for that of the loop; ``delays`` and ``lost`` are of one
+    that moves, whose shortest delay the loop then has. Errors: as ``HapticLoop.worst_hand``.
     """
 
-    loop: Any  # a HapticLoop of concrete numbers
+    loop: Any  # a HapticLoop
     hands: HandRange
     mass: Range | None = None
     delay: Range | None = None
-    moving: dict[str, Any] = field(default_factory=dict)
+    delays: Range | None = None
+    lost: int = 0
 
     def __post_init__(self) -> None:
+        if self.moving and self.delay is not None:
+            raise TypeError(
+                f"delay is {self.delay} beside delays; give those that move, or the others."
+            )
+        own = MovingLoop.from_loop(self.loop, **self.moving).loop if self.moving else self.loop
+        object.__setattr__(self, "loop", own.in_floats())
         device = self.loop.held_device
         checked_range(self.hands, self.mass, device)
         if self.delay is not None:
@@ -95,24 +102,6 @@ class LoopsWithHands:
                 f"mass is {self.mass}, but the device ({device}) has none that could vary; "
                 "leave it out."
             )
-
-    @classmethod
-    def from_loop(
-        cls,
-        loop: Any,
-        hands: HandRange,
-        mass: Range | None,
-        delay: Range | None,
-        delays: Range | None,
-        lost: int,
-    ) -> "LoopsWithHands":
-        """A loop of concrete numbers with all hands, its delay constant or moving."""
-        if delays is None and not lost:
-            return cls(loop.in_floats(), hands, mass, delay)
-        if delay is not None:
-            raise TypeError(f"delay is {delay} beside delays; give those that move, or the others.")
-        own = MovingLoop.from_loop(loop, delays, lost).loop
-        return cls(own, hands, mass, moving={"delays": delays, "lost": lost})
 
     def worst(self, stiffness: float, damping: float) -> WorstHand:
         """The verdict on a wall for all of them, and the worst of those tried."""
@@ -176,7 +165,7 @@ class LoopsWithHands:
 
         def is_proved(share: float) -> bool:
             delays = (delay, delay + share * most if isfinite(most) else delay)
-            left = replace(self, moving={"delays": delays}).unproved(wall)
+            left = replace(self, delays=delays).unproved(wall)
             return left is not None and not len(left)
 
         if most == 0.0 or is_proved(1.0):
@@ -186,6 +175,12 @@ class LoopsWithHands:
             share = 0.5 * (low + high)
             low, high = (share, high) if is_proved(share) else (low, share)
         return low * most if low > 0.0 else 0.0
+
+    @property
+    def moving(self) -> dict[str, Any]:
+        """The keywords of delays that move, if they do."""
+        is_moving = self.delays is not None or self.lost
+        return {"delays": self.delays, "lost": self.lost} if is_moving else {}
 
     @property
     def corners(self) -> "list[HapticLoop]":

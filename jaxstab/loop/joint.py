@@ -130,9 +130,8 @@ class JointLoop:
             return Verdict.UNDECIDED
         springs, (_, delay, jitter, *_) = (self.joint.spring,) * 2, self.control
         moves = (delay, delay + jitter) if jitter and until is None else None
-        held: Any = self.loop(self.joint.greatest)
-        hands = HandRange(stiffness=springs)
-        every = LoopsWithHands.from_loop(held, hands, self._inertias, None, moves, 0)
+        held, hands = self.loop(self.joint.greatest), HandRange(stiffness=springs)
+        every = LoopsWithHands(held, hands, self._inertias, delays=moves)
         if until is None:
             return every.worst(*self.gains).verdict
         left = every.unproved(self.gains, until)

@@ -415,7 +415,7 @@ class HapticLoop(LoopParameters, TwoGains):
         wall = (checked_number("stiffness", stiffness), checked_number("damping", damping))
         from jaxstab.loop.hands import LoopsWithHands
 
-        return LoopsWithHands.from_loop(self, hands, mass, delay, delays, lost).worst(*wall)
+        return LoopsWithHands(self, hands, mass, delay, delays, lost).worst(*wall)
 
     def robust_limit(
         self,
@@ -452,7 +452,7 @@ class HapticLoop(LoopParameters, TwoGains):
         """
         from jaxstab.loop.hands import LoopsWithHands
 
-        return LoopsWithHands.from_loop(self, hands, mass, delay, delays, lost).robust_limit()
+        return LoopsWithHands(self, hands, mass, delay, delays, lost).robust_limit()
 
     def verdict(
         self,
@@ -526,7 +526,7 @@ class HapticLoop(LoopParameters, TwoGains):
         if self.body is None or not (self.shape or is_any_jax(self, stiffness, damping)):
             return loop_margins(self.in_floats(), stiffness, damping)
         plant = self.gamma, self.delta, self.delay_samples  # a delay that is traced may be any
-        found = margins(*self._in_units(stiffness, damping), **by_name(*plant), **self.filters)
+        found = margins(*self._in_units(stiffness, damping), **by_name(*plant) | self.filters)
         units = self.stiffness(1.0), self.damping(1.0), self.sample_time
         return in_si_units(found, *units)
 
@@ -571,7 +571,7 @@ class HapticLoop(LoopParameters, TwoGains):
             return jitter_margin(self.in_floats(), stiffness, damping)
         from jaxstab.loop.hands import LoopsWithHands
 
-        with_hands = LoopsWithHands.from_loop(self, hands, mass, None, (self.delay,) * 2, 0)
+        with_hands = LoopsWithHands(self, hands, mass, delays=(self.delay, self.delay))
         return each_wall(with_hands.jitter_margin, np.float64, stiffness, damping)
 
     def worst_delays(

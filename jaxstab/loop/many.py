@@ -566,7 +566,7 @@ def _of_gains(members: Indices, loops: list[Loop], *, in_charts: bool = False) -
     for start in range(0, len(loops), _AT_ONCE):
         block = members[start : start + _AT_ONCE].tolist()
         block = [k for k in block if in_charts or loops[k]._chart.are_gains]
-        triples = [partial(affine_triple, loops[k]._chart.chart) for k in block]
+        triples = [partial(affine_triple, loops[k]._chart) for k in block]
         yield from sampled_loops(np.array(block, int), triples)
 
 

@@ -217,7 +217,7 @@ def _extremes(region: WallRegion) -> Float64[np.ndarray, "2 field"]:
         if np.any(np.isnan(point)):
             pass
         elif vertex is None:
-            poles = closed_loop_poles(*point.tolist(), **loop.slice, **loop.filters)
+            poles = closed_loop_poles(*point.tolist(), **loop.slice | loop.filters)
             angles[0] = abs(np.angle(poles[np.argmin(abs(abs(poles) - 1.0))]))
         else:
             roots, is_corner = vertex_roots(curve, outline)

@@ -13,7 +13,6 @@ from jaxstab.conventions import Excitation
 from jaxstab.loop.many import in_floats
 from jaxstab.loop.region import TOLERANCE, wall_region
 from jaxstab.model.filters import behind_measured
-from jaxstab.model.loop import as_one
 from jaxstab.motion.settling import checked_level, likely_settling
 from jaxstab.numbers import checked_number, checked_word
 from jaxstab.shown import exact_text, number_text, shortened, text_with_bound
@@ -279,10 +278,7 @@ def settling_times(
     excitation: Excitation = "force",
 ) -> Float64[np.ndarray, " loop"]:
     """Return the settling time of one wall in s for each loop; infinite where none is proved."""
-    controllers = {(loop.sample_time, loop.velocity, loop.position) for loop in loops}
     options: dict[str, Any] = {"level": level, "excitation": excitation, "horizon": _MOST}
-    if len(controllers) == 1 and all(loop.body is not None for loop in loops):
-        loops = [as_one(loops)]
     settling = [loop.settling_time(stiffness, damping, **options).value for loop in loops]
     return np.nan_to_num(np.hstack(settling), nan=np.inf, posinf=np.inf)
 

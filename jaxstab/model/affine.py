@@ -18,10 +18,10 @@ one plant G1 + G2; what both have of rigid motion is a common factor of all part
 common drift does not change e: it is divided out.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache, reduce
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -82,11 +82,11 @@ class AffineParts:
 
     def opened(self, first: float, second: float) -> tuple[Factored, Factored]:
         """D and N of the open loop N/D, opened where no gain moves the leading coefficient."""
-        coordinates, a, b = coordinates_of(self), flint.arb(first), flint.arb(second)
-        triple = affine_triple(coordinates.chart)
-        if not coordinates.are_gains:
-            weights: Any = tuple(_weights(affine_triple(self), coordinates.pivot))
-            a, b = coordinates._replace(weights=weights).of_gains(a, b)
+        chart, a, b = chart_of(self), flint.arb(first), flint.arb(second)
+        triple = affine_triple(chart)
+        if not chart.are_gains:
+            weights: Any = tuple(_weights(affine_triple(self), chart.by))
+            a, b = replace(chart, weights=weights).of_gains(a, b)
         return triple.base, triple.stiffness.scaled(a).plus(triple.damping.scaled(b))
 
     def is_reciprocal(self, start: tuple[float, float], along: tuple[float, float]) -> bool:
@@ -121,11 +121,19 @@ class Chart(AffineParts):
     """
 
     of: AffineParts
-    by: int
+    by: int = 0
+    weights: tuple[float, float, float] = (1.0, 0.0, 0.0)
+
+    @property
+    def are_gains(self) -> bool:
+        """True if the gains do not move the leading coefficient: they are those of the chart."""
+        return self.weights == (1.0, 0.0, 0.0)
 
     def triple(self) -> Triple:
         """The parts of p/l."""
         whole = affine_triple(self.of)
+        if self.are_gains:
+            return whole
         parts = [part.without_windows() for part in whole]
         pivot = parts.pop(self.by)
         leading = pivot.leading
@@ -134,45 +142,26 @@ class Chart(AffineParts):
         ]
         return Triple.from_parts(pivot, *others)
 
-
-def _lowered(part: Factored, pivot: Factored, leading: "arb") -> Factored:
-    """A part less so much of another one of its degree that the highest powers cancel."""
-    own = part.plus(pivot.scaled(-part.leading / leading))
-    return own._replace(rest=flint.arb_poly(own.rest.coeffs()[: part.degree - sum(own[1:4])]))
-
-
-class Coordinates(NamedTuple):
-    """The chart of a loop, and the way from gains to those of the chart and back."""
-
-    chart: AffineParts
-    pivot: int = 0
-    weights: tuple[float, float, float] = (1.0, 0.0, 0.0)
-
-    @property
-    def are_gains(self) -> bool:
-        """True if the gains do not move the leading coefficient: they are those of the chart."""
-        return self.weights == (1.0, 0.0, 0.0)
-
     def of_gains(self, first: Array, second: Array) -> tuple[Array, Array]:
         """Gains as those of the chart."""
         if self.are_gains:
             return first, second
         whole = [1.0, first, second]
         leading = sum(weight * x for weight, x in zip(self.weights, whole, strict=True))
-        del whole[self.pivot]
+        del whole[self.by]
         return whole[0] / leading, whole[1] / leading
 
     @property
     def shares(self) -> tuple[float, float]:
         """Of the gains of the chart in 1: what is left of it is that of the pivot."""
-        first, second = (weight for k, weight in enumerate(self.weights) if k != self.pivot)
+        first, second = (weight for k, weight in enumerate(self.weights) if k != self.by)
         return first, second
 
     def whole(self, first: Array, second: Array) -> list[Array]:
         """1/l, a/l and b/l at gains of the chart."""
         left = 1.0 - self.shares[0] * first - self.shares[1] * second
         parts = [first, second]
-        parts.insert(self.pivot, np.where(np.abs(left) < 1e-7, 0.0, left))  # digits are lost
+        parts.insert(self.by, np.where(np.abs(left) < 1e-7, 0.0, left))  # digits are lost
         return parts
 
     def gains(self, first: Array, second: Array) -> tuple[Array, Array]:
@@ -183,17 +172,23 @@ class Coordinates(NamedTuple):
         return first / unit, second / unit
 
 
+def _lowered(part: Factored, pivot: Factored, leading: "arb") -> Factored:
+    """A part less so much of another one of its degree that the highest powers cancel."""
+    own = part.plus(pivot.scaled(-part.leading / leading))
+    return own._replace(rest=flint.arb_poly(own.rest.coeffs()[: part.degree - sum(own[1:4])]))
+
+
 @lru_cache(maxsize=128)
-def coordinates_of(parts: AffineParts) -> Coordinates:
+def chart_of(parts: AffineParts) -> Chart:
     """The chart of a loop."""
     with working_precision(FIRST_BITS):
         whole = affine_triple(parts)
         if max(whole.stiffness.degree, whole.damping.degree) < whole.degree:
-            return Coordinates(parts)
+            return Chart(parts)
         highest = [k for k, part in enumerate(whole) if part.degree == whole.degree]
         pivot = parts.pivot if parts.pivot in highest else highest[0]
         first, second, third = (float(weight.mid()) for weight in _weights(whole, pivot))
-    return Coordinates(Chart(parts, pivot), pivot, (first, second, third))
+    return Chart(parts, pivot, (first, second, third))
 
 
 def _weights(whole: Triple, pivot: int) -> "list[arb]":

@@ -534,9 +534,8 @@ class Filter:
 
         Raises: see ``jaxstab.conventions``.
         """
-        return cls(
-            (LowPass(_positive("cutoff", cutoff), checked_count("order", order, 1, HIGHEST_ORDER)),)
-        )
+        order = checked_count("order", order, 1, HIGHEST_ORDER)
+        return cls((LowPass(_positive("cutoff", cutoff), order),))
 
     @classmethod
     def butterworth(cls, cutoff: Numbers, *, order: int) -> "Filter":
@@ -549,13 +548,8 @@ class Filter:
 
         Source: Butterworth (1930); the transfer function is that of ``scipy.signal.butter``.
         """
-        return cls(
-            (
-                Butterworth(
-                    _positive("cutoff", cutoff), checked_count("order", order, 1, HIGHEST_ORDER)
-                ),
-            )
-        )
+        order = checked_count("order", order, 1, HIGHEST_ORDER)
+        return cls((Butterworth(_positive("cutoff", cutoff), order),))
 
     @classmethod
     def exponential(cls, factor: Numbers) -> "Filter":

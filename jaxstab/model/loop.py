@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache, wraps
 from math import inf, ulp
-from typing import Any, ClassVar, ParamSpec, TypedDict, TypeVar
+from typing import Any, ClassVar, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -43,13 +43,6 @@ Values = TypeVar("Values", bound=Numbers)
 Arguments = ParamSpec("Arguments")
 
 Result = TypeVar("Result")
-
-
-class Estimators(TypedDict):
-    """Estimator and filter in units of one sample, as keywords of five-number functions."""
-
-    velocity: Velocity | None
-    position: Filter | None
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -304,12 +297,11 @@ class LoopParameters:
         return loop
 
     @property
-    def filters(self) -> Estimators:
-        """Velocity estimator and position filter in units of one sample."""
-        velocity, position = self.velocity, self.position
+    def filters(self) -> dict[str, Any]:
+        """Estimator and filter in units of one sample, as keywords of five-number functions."""
+        chains = {"velocity": self.velocity, "position": self.position}
         return {
-            "velocity": None if velocity is None else velocity.per_sample(self.sample_time),
-            "position": None if position is None else position.per_sample(self.sample_time),
+            name: chain and chain.per_sample(self.sample_time) for name, chain in chains.items()
         }
 
     @property
