@@ -582,15 +582,10 @@ class HapticLoop(LoopParameters, TwoGains):
         All short patterns of the shortest and the longest delay are tried, and the best changed
         delay by delay. That no other sequence is worse is not proved; ``verdict`` proves STABLE.
 
-        Args:
-            stiffness, damping: see ``jaxstab.conventions``.
-            delays: as for ``verdict``.
-            lost: as for ``verdict``.
+        Args and Raises: as ``verdict``; the gains are single numbers.
 
         Returns:
             WorstDelays, whose delays ``simulate`` takes.
-
-        Raises: as ``verdict``; the gains are single numbers.
 
         Source: the theorem of Floquet for a force that switches within a sampling period; lemma
         V10 of docs/proofs.md.
@@ -613,17 +608,11 @@ class HapticLoop(LoopParameters, TwoGains):
     ) -> "motion.Settling":
         """The time in s until the position stays within a tolerance of its final value.
 
-        It is ``jaxstab.settling_samples`` times the sample time; the tolerance is explained there.
-        A count of samples jumps from number to number, so it has no useful derivative; that of
-        ``spectral_radius`` says how the decay changes. The hand pushes at the handle, behind the
-        actuators of a device.
-
-        Args:
-            stiffness, damping: see ``jaxstab.conventions``.
-            level: the tolerance, between 0 and 1; 0.02 is the usual one.
-            excitation: "force", a constant push, or "impact", a velocity at the wall, as
-                ``initial_velocity`` of ``simulate``.
-            horizon: samples; a loop that is not proved to have settled by then is given up.
+        It is ``jaxstab.settling_samples`` times the sample time; ``level``, ``excitation`` and
+        ``horizon`` are explained there, the walls in ``jaxstab.conventions``. A count of samples
+        jumps from number to number, so it has no useful derivative; that of ``spectral_radius``
+        says how the decay changes. The hand pushes at the handle, behind the actuators of a device;
+        the velocity of an impact is as ``initial_velocity`` of ``simulate``.
 
         Returns:
             Settling with ``value`` in s and ``status``, a SettlingStatus.
@@ -658,10 +647,8 @@ class HapticLoop(LoopParameters, TwoGains):
     ) -> "motion.Amplitude":
         """Bound the effect of a quantised encoder, a quantised force, friction and noise at walls.
 
-        The loop is compared with the same loop without any of these, started and pushed alike. The
-        answer bounds the distance of the two at all times; as the undisturbed one comes to rest
-        under a constant push, it bounds the chatter that the hand feels in the long run. See
-        ``jaxstab.amplitude``.
+        They bound the distance from the same loop without any of these at all times, and so the
+        chatter that the hand feels in the long run; see ``jaxstab.amplitude``.
 
         Args:
             stiffness, damping: see ``jaxstab.conventions``.

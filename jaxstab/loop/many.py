@@ -194,11 +194,9 @@ class ManyGainLimits(NamedTuple):
     Attributes:
         first: the largest stable first gain, or the least, as ``Loop.limits`` has it.
         at_second: the second gain at which it is reached.
-        second: the same of the second gain.
-        at_first: the first gain at which it is reached.
-        status: codes of ``RegionStatus``.
+        second, at_first: the same of the second gain.
         is_reachable: True where small gains are stable.
-        is_single: True for loops that were answered one by one, by ``Loop.limits``.
+        status, is_single: as those of ``ManyLimits``.
 
     Example:
         >>> loops = [jaxstab.simulated_pd(0.1, step=step) for step in (1e-3, 2e-3)]
