@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from jaxstab.loop.hands import WorstHand
     from jaxstab.loop.jitter import MovingLimits, MovingLoop, WorstDelays
     from jaxstab.loop.tune import OptimalWall
-    from jaxstab.model.balls import Triple
-    from jaxstab.model.linear_loop import LinearLoop
 
 
 @pytree
@@ -109,7 +107,7 @@ class HapticLoop(LoopParameters, TwoGains):
 
     gains = Gain("stiffness", "N/m"), Gain("damping", "N s/m")
     coordinates = gains
-    _by_place = True
+    _by_place, _triple, _pairs = True, ball_triple, LoopParameters.linear
 
     def region(self, *, tolerance: float = TOLERANCE) -> WallRegion:
         """The set of all stable walls, in its connected parts.
@@ -840,19 +838,12 @@ class HapticLoop(LoopParameters, TwoGains):
             return found.frequency_margins(first, second)
         return wall_frequency_margins(self.in_floats(), first, second)
 
-    def _triple(self) -> "Triple":
-        return ball_triple(self.in_floats())
-
     def _in_units(self, first: Numbers, second: Numbers) -> tuple[Array, Array]:
         require_together(**array_fields(self), stiffness=first, damping=second)
         if np.ndim(self.sample_time) and (self.velocity or self.position):
             refuse_arrays(self)  # windows and cut-offs would be arrays per sample
         alpha = self.alpha(checked_gain("stiffness", first))
         return alpha, self.beta(checked_gain("damping", second))
-
-    @property
-    def _pairs(self) -> "LinearLoop":
-        return self.linear
 
     @property
     def _scale(self) -> tuple[float, float]:

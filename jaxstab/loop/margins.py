@@ -124,13 +124,9 @@ def margins_text(margins: tuple[Numbers, ...], names: tuple[str, str, str]) -> s
         "not known" if code == "stable" and np.isnan(delay) else _largest(delay)
         for code, delay in zip(codes, np.ravel(extra_delay), strict=True)
     ]
-    limits = [
-        [(*_interval(low, high), _largest(gain)) for (low, high), gain in pairs]
-        for pairs in (
-            zip(np.reshape(stiffness, (-1, 2)), np.ravel(stiffness_gain), strict=True),
-            zip(np.reshape(damping, (-1, 2)), np.ravel(damping_gain), strict=True),
-        )
-    ]
+    alone = (stiffness, stiffness_gain), (damping, damping_gain)
+    every = (np.c_[np.reshape(ends, (-1, 2)), np.ravel(gains)] for ends, gains in alone)
+    limits = [[(*_interval(low, high), _largest(gain)) for low, high, gain in own] for own in every]
     if np.ndim(verdict) == 0:
         rows = [
             (f"Margins: {codes[0]}", "least", "largest", "factor"),

@@ -124,9 +124,7 @@ def _search(
     structure: Any, form: Form | None, *, outlines: bool
 ) -> Callable[..., tuple[Array, Any]]:
     """Return the search for extreme walls and outlines of loops of one structure, by leaves."""
-    fewest = (
-        512  # loops inside of jit: compiling takes as long as some thousands of them one by one
-    )
+    fewest = 512  # loops inside of jit: to compile takes as long as some thousands one by one
     search = _search_alone(structure, outlines=outlines)
 
     @jax.custom_batching.custom_vmap

@@ -177,14 +177,10 @@ class GainRegion(ShownRegion):
         return np.ptp(self.outline, axis=0) if len(self.outline) else np.full(2, np.nan)
 
     @cached_property
-    def _quadrant(self) -> tuple[Any, Any]:
-        first, second = proved_extremes(self.region)
-        return self._extreme(first, 0), self._extreme(second, 1)
-
-    @property
     def extremes(self) -> tuple[Any, Any]:
         """The points of the largest first and second coordinate, both >= 0."""
-        return self._quadrant
+        first, second = proved_extremes(self.region)
+        return self._extreme(first, 0), self._extreme(second, 1)
 
     def contains(self, *wall: Numbers, **gains: Numbers) -> Bool[Array, "*grid"]:
         """True where gains lie inside the exact boundary; all False if UNRESOLVED."""
@@ -288,21 +284,21 @@ class WallRegion(GainRegion):
         """The extent of the region from end to end, in K and in B."""
         return Gains(*super().extent.tolist())
 
-    @cached_property
+    @property
     def stiffest(self) -> Gains:
         """The largest K of walls with B >= 0; NaN where there are none."""
-        return self._quadrant[0]
+        return super().extremes[0]
 
-    @cached_property
+    @property
     def most_damped(self) -> Gains:
         """The largest B of walls with K >= 0; NaN where there are none."""
-        return self._quadrant[1]
+        return super().extremes[1]
 
     @property
     def extremes(self) -> tuple[Gains, Gains]:
         """The stiffest and the most damped wall; if none has K >= 0 and B >= 0, of all walls."""
         if not np.isnan(self.stiffest.stiffness):
-            return self._quadrant
+            return super().extremes
         return self._extreme(self.region.max_alpha, 0), self._extreme(self.region.max_beta, 1)
 
     def limits(self) -> WallLimits:
@@ -310,8 +306,8 @@ class WallRegion(GainRegion):
         limits = tuple(_limits_of(*island._printed, island.status) for island in self.islands)
         main = self.reachable
         is_there = not np.isnan(main.stiffest.stiffness)
-        stiffest, damped = main._printed if is_there else main._quadrant
-        own = _limits_of(stiffest, damped, self.status)
+        walls = main._printed if is_there else (main.stiffest, main.most_damped)
+        own = _limits_of(*walls, self.status)
         return own._replace(is_reachable=self.main is not None, islands=limits)
 
     @cached_property

@@ -112,10 +112,12 @@ def optimal_wall(
     if chatter is not None:
         limit = checked_number("chatter", chatter, 0.0, is_open=True, unit="m")
 
-    def moved(alphas: Any, betas: Any) -> np.ndarray:
+    def in_si_units(alphas: Any, betas: Any) -> tuple[Any, Any]:
+        return loop.stiffness(alphas), loop.damping(betas)
+
+    def moved(*walls: Any) -> np.ndarray:
         """Proved amplitudes of walls in m, by the encoder."""
-        gains = loop.stiffness(alphas), loop.damping(betas)
-        return np.asarray(loop.amplitude(*gains, encoder=step).position)
+        return np.asarray(loop.amplitude(*in_si_units(*walls), encoder=step).position)
 
     checked_word("goal", goal, ("radius", "settling"))
     level = checked_level(level, excitation)
@@ -133,13 +135,12 @@ def optimal_wall(
         options: dict[str, Any] = {"level": level, "excitation": excitation}
         fastest = float(tuned.settling(*wall, **options).value)
 
-        def likely(alphas: np.ndarray, betas: np.ndarray) -> np.ndarray:
-            walls = loop.stiffness(alphas), loop.damping(betas)
+        def likely(*walls: np.ndarray) -> np.ndarray:
             horizon = int(np.clip(slower * fastest, 1 << 10, 1 << 16))
-            return likely_settling(plain, *walls, **options, horizon=horizon)
+            return likely_settling(plain, *in_si_units(*walls), **options, horizon=horizon)
 
-        def proved(alphas: np.ndarray, betas: np.ndarray) -> np.ndarray:
-            return np.asarray(tuned.settling(alphas, betas, **options).value)
+        def proved(*walls: np.ndarray) -> np.ndarray:
+            return np.asarray(tuned.settling(*walls, **options).value)
 
         for objective in (tuned.walls.radii,) if goal == "radius" else (likely, proved):
             wall, status = fastest_calm_wall(loop, objective, moved, limit, alpha)

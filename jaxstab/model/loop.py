@@ -136,17 +136,13 @@ class LoopParameters:
         """Refuse one mass whose gains lose digits in float64 when they are made dimensionless."""
         least = 2.0**-900  # that of ``gain_units``
         body = self.body
-        if body is None or is_any_traced(body.mass, self.sample_time):
+        if body is None or is_any_traced(body.mass, self.sample_time) or 0 in self.shape:
             return
-        period, mass = self.sample_time, body.mass
-        pairs = [(period, mass)]
-        if not (isinstance(period, float) and isinstance(mass, float)):  # one loop: no time lost
-            if not np.size(period) * np.size(mass):
-                return
-            ends = ((float(np.min(x)), float(np.max(x))) for x in (period, mass))
-            (shortest, longest), (lightest, heaviest) = ends
-            pairs = [(shortest, heaviest), (longest, lightest)]
-        for period, mass in pairs:
+        (shortest, longest), (lightest, heaviest) = (
+            (x, x) if isinstance(x, float) else (float(np.min(x)), float(np.max(x)))
+            for x in (self.sample_time, body.mass)
+        )
+        for period, mass in ((shortest, heaviest), (longest, lightest)):
             sizes = period, period * period
             if min(sizes) / max(mass, 1.0) >= least and max(sizes) / min(mass, 1.0) <= 1.0 / least:
                 continue

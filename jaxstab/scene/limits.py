@@ -297,8 +297,8 @@ class StableWalls(StableGains):
 
     def found(self, own: Gain) -> tuple[float, float]:
         """The limit of a gain, and the other gain there; RuntimeError where it is not resolved."""
-        stiffest, damped = wall_region(self.loop).reachable._quadrant
-        return stiffest if own == self.loop.gains[0] else damped[::-1]
+        walls = wall_region(self.loop).reachable
+        return walls.stiffest if own == self.loop.gains[0] else walls.most_damped[::-1]
 
     def row(self, fixed: Gain, value: float, around: float = nan) -> dict[str, Any]:
         """The stable values of the other gain, and the stiffness of the linear rule."""
