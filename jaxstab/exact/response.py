@@ -397,7 +397,7 @@ def _moves(loop: LoopParameters) -> "tuple[arb_mat, list[arb], list[arb], list[a
         powers = (held**j for j in (count, count - round(fraction * count), 1))
         whole, late, one = (arb_mat(power).tolist() for power in powers)
     else:
-        matrix = equations(device, period).matrix
+        matrix, _, _ = equations(device, period)
         whole = matrix.exp().tolist()
         late = (matrix * (1 - arb(exact(fraction)))).exp().tolist()
     size = len(whole) - (1 if own else 2)

@@ -160,10 +160,6 @@ def _interval(low: float, high: float) -> tuple[str, str]:
     return _least(least), _largest(largest)
 
 
-def _range(low: float, high: float) -> str:
-    return "none" if np.isnan(low) else " to ".join(_interval(low, high))
-
-
 def _least(value: float) -> str:
     return number_text(float(value), _DIGITS, ROUND_CEILING).replace("unlimited", "-unlimited")
 
@@ -351,7 +347,10 @@ class GainMargins(NamedTuple):
         codes = verdict_words(self.verdict)
         pairs = np.stack(self[1:6], axis=-2).reshape(-1, 5, 2).tolist()
         limits = [[_interval(*ends) for ends in own[:2]] for own in pairs]
-        factors = [[_range(*ends) for ends in own[2:]] for own in pairs]
+        factors = [
+            ["none" if isnan(ends[0]) else " to ".join(_interval(*ends)) for ends in own[2:]]
+            for own in pairs
+        ]
         names = *self.names, "both"
         if np.ndim(self.verdict) == 0:
             rows = zip(names, [*limits[0], ("", "")], factors[0], strict=True)

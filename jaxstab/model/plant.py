@@ -22,7 +22,7 @@ keep their relative accuracy even at gamma = (2 pi)^2, delta = 0, where N(z) van
 from fractions import Fraction
 from functools import cache, lru_cache, partial
 from math import factorial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -155,37 +155,20 @@ def _hold(gamma: Array, delta: Array, length: DoubleDouble) -> _Hold:
     x = a * a
     y = x - length * length * gamma
     x, y = x.scaled(4.0**-duplications), y.scaled(4.0**-duplications)
-    nodes = _Nodes(x, y, kappa=_series(0, x, y), sigma=_series(1, x, y))
-    nodes = repeat(duplications, _duplicate, nodes)
-    decay = DoubleDouble.from_value(filled(x.hi, 1.0)) / (nodes.kappa.x + a * nodes.sigma.x)
-    return _Hold(length, decay, nodes.kappa.y, nodes.kappa.xy, a * nodes.sigma.xy)
+    nodes = x, y, _series(0, x, y), _series(1, x, y)
+    _, _, kappa, sigma = repeat(duplications, _duplicate, nodes)
+    decay = DoubleDouble.from_value(filled(x.hi, 1.0)) / (kappa[0] + a * sigma[0])
+    return _Hold(length, decay, kappa[1], kappa[2], a * sigma[2])
 
 
-class _Values(NamedTuple):
-    """A function at two nodes and its divided difference between them."""
-
-    x: DoubleDouble
-    y: DoubleDouble
-    xy: DoubleDouble
-
-
-class _Nodes(NamedTuple):
-    x: DoubleDouble
-    y: DoubleDouble
-    kappa: _Values
-    sigma: _Values
-
-
-def _duplicate(nodes: _Nodes) -> _Nodes:
-    x, y, kappa, sigma = nodes
-    even = sigma.y * sigma.y + x * ((sigma.x + sigma.y) * sigma.xy)
-    odd = sigma.xy * kappa.x + sigma.y * kappa.xy
-    return _Nodes(
-        x.scaled(4.0),
-        y.scaled(4.0),
-        _Values(_kappa_of_4(x, sigma.x), _kappa_of_4(y, sigma.y), even.scaled(0.5)),
-        _Values(sigma.x * kappa.x, sigma.y * kappa.y, odd.scaled(0.25)),
-    )
+def _duplicate(nodes: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Both nodes, and kappa and sigma at these and between them, for nodes four times as far."""
+    x, y, (kappa_x, kappa_y, kappa_xy), (sigma_x, sigma_y, sigma_xy) = nodes
+    even = sigma_y * sigma_y + x * ((sigma_x + sigma_y) * sigma_xy)
+    odd = sigma_xy * kappa_x + sigma_y * kappa_xy
+    kappa = _kappa_of_4(x, sigma_x), _kappa_of_4(y, sigma_y), even.scaled(0.5)
+    sigma = sigma_x * kappa_x, sigma_y * kappa_y, odd.scaled(0.25)
+    return x.scaled(4.0), y.scaled(4.0), kappa, sigma
 
 
 def _kappa_of_4(x: DoubleDouble, sigma: DoubleDouble) -> DoubleDouble:
@@ -198,7 +181,7 @@ def _taylor(odd: int) -> tuple[DoubleDouble, ...]:
     return tuple(DoubleDouble.from_value(Fraction(1, factorial(2 * k + odd))) for k in range(10))
 
 
-def _series(odd: int, x: DoubleDouble, y: DoubleDouble) -> _Values:
+def _series(odd: int, x: DoubleDouble, y: DoubleDouble) -> tuple[DoubleDouble, ...]:
     """Evaluate kappa or sigma at x and y and its divided difference by Horner's rule."""
     zero = filled(x.hi, 0.0)
     at_x, at_y, between = zero, zero, zero
@@ -206,7 +189,7 @@ def _series(odd: int, x: DoubleDouble, y: DoubleDouble) -> _Values:
     for coefficient in reversed(_taylor(odd)[pairs:]):
         between = at_x + y.hi * between
         at_x, at_y = coefficient.hi + x.hi * at_x, coefficient.hi + y.hi * at_y
-    values = _Values(*map(DoubleDouble.from_value, (at_x, at_y, between)))
+    value, other, slope = map(DoubleDouble.from_value, (at_x, at_y, between))
     for pair in reversed(_taylor(odd)[:pairs]):
-        values = _Values(x=x * values.x + pair, y=y * values.y + pair, xy=y * values.xy + values.x)
-    return values
+        value, other, slope = x * value + pair, y * other + pair, y * slope + value
+    return value, other, slope

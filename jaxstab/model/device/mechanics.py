@@ -214,20 +214,15 @@ def _of_fractions(exact_numbers: "fmpq_mat") -> Float64[np.ndarray, "row column"
     return np.array([[int(x.p) / int(x.q) for x in row] for row in exact_numbers.tolist()])
 
 
-class Equations(NamedTuple):
-    """[[A, B], [0, 0]] for the states, the wall's force and the hand's, time in samples.
-
-    by_hand, below: numerator and denominator of the encoder by the hand's force (``in_samples``).
-    """
-
-    matrix: "arb_mat"
-    by_hand: list["arb"]
-    below: list["arb"]
+Equations = tuple["arb_mat", list["arb"], list["arb"]]
 
 
 @remembered(16)
 def equations(device: Device, sample_time: float) -> Equations:
-    """The equations of a device in balls of the precision that is set.
+    """[[A, B], [0, 0]] for the states, the wall's force and the hand's, time in samples.
+
+    Behind it numerator and denominator of the encoder by the hand's force, all in balls of the
+    precision that is set.
 
     Raises: as ``in_samples``; ValueError also if the hand's constant force does not move it.
     """
@@ -258,7 +253,7 @@ def equations(device: Device, sample_time: float) -> Equations:
         state = order + index
         matrix[state, state] = -rate
         matrix[state, state - 1 if index else wall] = rate
-    return Equations(matrix, by_hand, below)
+    return matrix, by_hand, below
 
 
 class HandleEquations(NamedTuple):
@@ -295,13 +290,13 @@ def handle_equations(device: Device, sample_time: float) -> HandleEquations:
             "simulate, settling_time and amplitude."
         )
     with working_precision(1024):
-        below = equations(device, sample_time).below
+        _, _, below = equations(device, sample_time)
         turns = (2.0 * pi * width * sample_time for width in device.bandwidths)
         fastest = max(2.0 ** speed_of(below), *turns, 1.0)
         ticks = 2.0 ** ceil(log2(fastest))
         tick = sample_time / ticks
         moves = mechanics(device, tick, (0.0,), (0.0,))
-        matrix = equations(device, tick).matrix
+        matrix, _, _ = equations(device, tick)
         columns = matrix.ncols()
         if moves.thrown is None or matrix[0, columns - 1] != 0 or not matrix[1, columns - 1] > 0:
             raise ValueError(
@@ -380,7 +375,7 @@ def between_samples(device: Device, sample_time: float, fraction: float) -> Betw
 
 def _between(given: Equations, fraction: float) -> tuple[bool, Between]:
     """The same in balls of the precision that is set, and whether its rows are known."""
-    matrix, order = given.matrix, len(given.below) - 1
+    (matrix, _, below), order = given, len(given[2]) - 1
     size, turned = matrix.ncols() - 2, matrix.transpose()
     units = (flint.arb_mat(size + 2, size + 2) + 1).tolist()
     seen = _derivatives(flint.arb_mat(units[:1]), matrix)
@@ -399,7 +394,7 @@ def _between(given: Equations, fraction: float) -> tuple[bool, Between]:
         rows = (struck * (turned * flint.arb(time)).exp()).tolist()
         return flint.arb_mat([row[:size] for row in rows])
 
-    rates = [2.0 ** speed_of(given.below), *(float(-matrix[k, k]) for k in range(order, size))]
+    rates = [2.0 ** speed_of(below), *(float(-matrix[k, k]) for k in range(order, size))]
     speed = min(max(rates), 24.0)
     pieces = []  # between two times, and whether the wall's force has changed by then
     for start, end, is_late in ((0.0, fraction, False), (fraction, 1.0, True)):
