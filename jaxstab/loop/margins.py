@@ -268,7 +268,7 @@ def margins(
     if is_jax(point):
         from jaxstab.loop.moving import moving_ends
 
-        ends = moving_ends(point, found[::2], found[1::2], filters)
+        ends = moving_ends(point, ends, xp.stack(found[1::2], axis=-1), filters)
     return margins_of(point, code, ends)
 
 

@@ -13,7 +13,7 @@ compilation and JAX traces neither delay nor filters, which decide its shapes. A
 searched there one by one, by a callback.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from functools import cache, lru_cache, partial
 from math import pi
 from typing import Any, NamedTuple
@@ -228,15 +228,12 @@ def _extremes(region: WallRegion) -> Float64[np.ndarray, "2 field"]:
 def _moved(loop: LoopParameters, extremes: _Extreme) -> ManyLimits:
     """Return both extreme walls, with their derivatives by the numbers of the loop."""
     numbers = _numbers(loop)
-    fixed = jax.lax.stop_gradient(numbers)
 
     def moved(extreme: _Extreme, axis: Array) -> Array:
         is_corner = ~jnp.isnan(extreme.other_angle)
         start = jnp.stack([*extreme[:3], jnp.where(is_corner, extreme.other_angle, 0.0)])
         residual = partial(_equations, start, is_corner, axis)
-        by_unknown = jax.jacfwd(residual)(start, fixed)
-        step = solved(by_unknown, residual(start, numbers)[:, None])[:, 0]
-        wall = start[:2] - _change(step)[:2]
+        wall = start[:2] + _change(_grown(residual, start, numbers))[:2]
         return jnp.where(~is_corner & (start[:2] == 0.0), 0.0, wall)  # on an axis it stays there
 
     (stiffest, at_damping), (at_stiffness, damping) = jax.vmap(moved)(extremes, jnp.arange(2))
@@ -289,6 +286,12 @@ def _moved_outline(loop: LoopParameters, outline: tuple[Array, Array, Array]) ->
 def _change(value: Array) -> Array:
     """Return 0 with the derivative of a value."""
     return value - jax.lax.stop_gradient(value)
+
+
+def _grown(equations: Callable[..., Array], start: Array, numbers: Any) -> Array:
+    """What moves as the unknowns that solve equations do, by the implicit function theorem."""
+    slopes = jax.jacfwd(equations)(start, jax.lax.stop_gradient(numbers))
+    return -solved(slopes, equations(start, numbers)[:, None])[:, 0]
 
 
 def _numbers(loop: LoopParameters) -> _Numbers:
@@ -359,56 +362,43 @@ def _equations(
 
 def moving_ends(
     point: Float64[Array, "*grid 5"],
-    ends: Sequence[Array],
-    angles: Sequence[Array],
+    ends: Float64[Array, "*grid way"],
+    angles: Float64[Array, "*grid way"],
     filters: Filters | None = None,
 ) -> Float64[Array, "*grid way"]:
     """The ends of all ways from points, with their derivatives by these."""
-    ways = zip(WAYS, ends, angles, strict=True)
-    moved = [_moving(point, end, angle, axis, filters) for (axis, _), end, angle in ways]
-    return jnp.stack(moved, axis=-1)
+    axes = np.array([axis for axis, _ in WAYS])
+    return _moving(ends, _moved_ends(filters)(point[..., None, :], ends, angles, axes))
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(3, 4))
-def _moving(point: Array, end: Array, angle: Array, axis: int, filters: Filters | None) -> Array:
-    """The ends of a way along an axis, with their derivatives by the points."""
-    del point, angle, axis, filters
-    return end
+@jax.custom_jvp
+def _moving(value: Array, moved: Array) -> Array:
+    """A value with the derivatives of another one, which may be NaN."""
+    del moved
+    return value
 
 
-@_moving.defjvp
-def _moving_jvp(
-    axis: int,
-    filters: Filters | None,
-    primals: tuple[Array, Array, Array],
-    tangents: tuple[Array, Array, Array],
-) -> tuple[Array, Array]:
-    point, end, angle = primals
-    is_gain = axis < 2  # of a delay the end is how much longer it is
-    slopes = _slopes(filters)(point, end - point[..., axis] if is_gain else end, angle, axis)
-    moved = jnp.sum(slopes * tangents[0], axis=-1)
-    return end, moved + tangents[0][..., axis] if is_gain else moved
+_moving.defjvp(lambda values, moves: (values[0], moves[1]))
 
 
 @lru_cache(maxsize=16)
-def _slopes(filters: Filters | None) -> Callable[..., Array]:
-    """A function for the derivatives of a step by the point, from p(z) = 0 at the crossing."""
+def _moved_ends(filters: Filters | None) -> Callable[..., Array]:
+    """A function that moves as the end of a way does, by p(z) = 0 at the crossing."""
     nearly_real = 2.0**-29  # of pi: a root this near to the real axis is taken for real
     responses = Responses.from_filters(filters)
 
-    def slopes(point: Array, step: Array, angle: Array, axis: Array) -> Array:
-        end = jnp.round(angle)
-        is_real = jnp.abs(angle - end) < nearly_real
-        start = pi * jnp.where(is_real, end, angle)
+    def moved(point: Array, end: Array, angle: Array, axis: Array) -> Array:
+        here = jnp.where(axis < 2, point[axis], 0.0)  # of a delay the end is how much longer it is
+        nearest = jnp.round(angle)
+        is_real = jnp.abs(angle - nearest) < nearly_real
+        start = pi * jnp.where(is_real, nearest, angle)
 
         def equations(crossing: Array, point: Array) -> Array:
             alpha, beta, *plant = point.at[axis].add(crossing[0])
             real, imaginary = circle_equations(plant, alpha, beta, crossing[1], responses)
             return jnp.stack([real, jnp.where(is_real, crossing[1] - start, imaginary)])
 
-        crossing = jnp.stack([step, start])
-        by_crossing, by_point = jax.jacfwd(equations, (0, 1))(crossing, point)
-        moved: Array = -solved(by_crossing, by_point)[0]
-        return moved
+        crossing = jnp.stack([end - jax.lax.stop_gradient(here), start])
+        return here + _grown(equations, crossing, point)[0]
 
-    return jax.jit(jnp.vectorize(slopes, signature="(n),(),(),()->(n)"))
+    return jax.jit(jnp.vectorize(moved, signature="(n),(),(),()->()"))
