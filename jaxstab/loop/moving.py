@@ -311,20 +311,16 @@ def _curve(numbers: _Numbers, theta: Array) -> Array:
 
 
 def _on_circle(start: Array, unknown: Array, numbers: _Numbers) -> Array:
-    """Return p at both roots (root, 2), of alpha, beta and their angles; it is 0 there."""
-    wall, angles = unknown[:2], unknown[2:]
-    return _settled(start, angles, jax.vmap(partial(_values, numbers, wall))(angles))
+    """Return p at both roots (root, 2), of alpha, beta and their angles; it is 0 there.
 
-
-def _settled(start: Array, angles: Array, values: Array) -> Array:
-    """Return p at both roots, but at a real root how far its angle is from where it stays.
-
-    Of a second root there the other number is the derivative of p.
+    At a real root it is the distance of its angle from where it stays; of a second root there the
+    other number is the derivative of p.
     """
+    wall, angles = unknown[:2], unknown[2:]
+    real, imaginary = jax.vmap(partial(_values, numbers, wall))(angles).T
     ends = jnp.round(start[2:] / pi) * pi
     is_real = abs(start[2:] - ends) < _REAL
     is_double = jnp.all(is_real) & (ends[0] == ends[1])
-    real, imaginary = values.T
     real = real.at[1].set(jnp.where(is_double, imaginary[1], real[1]))
     return jnp.stack([real, jnp.where(is_real, angles - ends, imaginary)], axis=1)
 
@@ -340,18 +336,10 @@ def _equations(
     """Functions of alpha, beta and the angles of the roots that are 0 at an extreme wall."""
     wall, angles = unknown[:2], unknown[2:]
     other = (jnp.arange(2) != axis).astype(float)
-
-    def with_slopes(wall: Array, angle: Array) -> tuple[Array, Array]:
-        both: tuple[Array, Array] = jax.jvp(
-            partial(_values, numbers, wall), (angle,), (jnp.ones(()),)
-        )
-        return both
-
-    walls, at = jnp.stack([wall, wall, wall + other]), angles[jnp.array([0, 1, 0])]
-    values, turns = jax.vmap(with_slopes)(walls, at)
-    first, second = _settled(start, angles, values[:2])
+    first, second = _on_circle(start, unknown, numbers)
     # Where the boundary turns, p stays 0 to first order as the other gain and the angle change.
-    turning = cross(values[2] - values[0], turns[0])
+    value, turn = jax.jvp(partial(_values, numbers, wall), (angles[0],), (jnp.ones(()),))
+    turning = cross(_values(numbers, wall + other, angles[0]) - value, turn)
     is_on_axis = start[:2] @ other == 0.0
     smooth = jnp.stack([jnp.where(is_on_axis, wall @ other, turning), angles[1]])
     return jnp.concatenate([first, jnp.where(is_corner, second, smooth)])
