@@ -301,25 +301,20 @@ def _stiffest_wall(loops: "Sequence[HapticLoop]", pull: float) -> Guess | None:
         return NOTHING
     low, high = _common_rows([*regions.values()])
     low = max(low, 0.0)
-    wall: tuple[float, float, float] | None = None  # both ends of the stiffness, and the damping
-    for zoom in range(5):
-        if not low < high:
-            break
-        ends = low + (high - low) * (
-            even if zoom else np.unique([*even, *dense, *near, *(1.0 - near)])
-        )
-        rows = ends[1:-1]
-        left, right = _common_limits([*regions.values()], rows)
+    walls: list[list[float]] = []  # both ends of the stiffness, and the damping, of each zoom
+    shares = np.unique([*even, *dense, *near, *(1.0 - near)])
+    while len(walls) < 5 and low < high:
+        ends = low + (high - low) * shares
+        left, right = _common_limits([*regions.values()], ends[1:-1])
         right = np.where((left < right) & (right > 0.0), right, -np.inf)
         best = int(np.argmax(right))
         if right[best] == -np.inf:
             break
-        if wall is None or right[best] >= wall[1]:
-            wall = float(left[best]), float(right[best]), float(rows[best])
-        low, high = ends[best], ends[best + 2]
-    if wall is None:
+        walls.insert(0, [float(row[best]) for row in (left, right, ends[1:-1])])
+        low, high, shares = ends[best], ends[best + 2], even
+    if not walls:
         return NOTHING
-    least, limit, damping = wall
+    least, limit, damping = max(walls, key=lambda wall: wall[1])  # of equal ones the last
     stiffness = max(limit - pull * abs(limit), 0.5 * (least + limit))
     row = np.array([damping])
     tops = {loop: region.stiffness_limits(row)[0, 1] for loop, region in regions.items()}

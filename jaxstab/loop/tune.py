@@ -243,9 +243,9 @@ def tune_for_all(
     loops = [in_floats(loop) for loop in loops]
     if not loops:
         raise ValueError("loops is empty; give at least one loop.")
-    level = checked_level(level, excitation)
+    options: dict[str, Any] = {"level": checked_level(level, excitation), "excitation": excitation}
     if stiffness is not None:
-        stiffness = float(checked_number("stiffness", stiffness, 0.0))
+        stiffness = checked_number("stiffness", stiffness, 0.0)
     region = loops[0].region().reachable
     wall, longest = (np.nan, np.nan), np.inf
     for horizon in (64, 512, 4096, _MOST) if len(region.outline) else ():
@@ -255,7 +255,7 @@ def tune_for_all(
             nonlocal longest
             values, inside = np.full(gains[0].size, np.inf), region.contains(*gains)
             walls = [each[inside] for each in gains]
-            settling = _times(loops, walls, longest, level, excitation, horizon)
+            settling = _times(loops, walls, longest, **options, horizon=horizon)
             longest = min(longest, settling.max(axis=0).min(initial=np.inf))
             values[inside] = settling.max(axis=0) + 1e-6 * settling.mean(axis=0)
             return values
@@ -266,7 +266,7 @@ def tune_for_all(
             break
     if np.isnan(wall[0]):
         return CommonWall(np.nan, np.nan, np.inf, loops[0], TuningStatus.NO_STABLE_GAINS)
-    times = settling_times(loops, *wall, level, excitation)
+    times = settling_times(loops, *wall, **options)
     slowest = loops[int(np.argmax(times))]
     return CommonWall(*wall, float(times.max()), slowest, TuningStatus.SCANNED)
 
@@ -285,24 +285,15 @@ def settling_times(
 
 
 def _times(
-    loops: "Sequence[HapticLoop]",
-    walls: list[Walls],
-    longest: float,
-    level: float,
-    excitation: Excitation,
-    horizon: int,
+    loops: "Sequence[HapticLoop]", walls: list[Walls], longest: float, **options: Any
 ) -> Float64[np.ndarray, "loop wall"]:
     """Likely settling times in s; infinite where there is none, or one is longer than allowed."""
     times = np.full((len(loops), len(walls[0])), np.inf)
     hopeful = np.arange(len(walls[0]))
-    for index, loop in enumerate(loops):
-        stiffness, damping = (gains[hopeful] for gains in walls)
-        value = likely_settling(
-            loop, stiffness, damping, level=level, excitation=excitation, horizon=horizon
-        )
-        value = np.where(value <= longest, value, np.inf)  # NaN is none
-        times[index, hopeful] = value
-        hopeful = hopeful[np.isfinite(value)]
+    for own, loop in zip(times, loops, strict=True):
+        value = likely_settling(loop, *(gains[hopeful] for gains in walls), **options)
+        own[hopeful] = np.where(value <= longest, value, np.inf)  # NaN is none
+        hopeful = hopeful[np.isfinite(own[hopeful])]
         if not len(hopeful):
             break
     times[:, ~np.isfinite(times.max(axis=0))] = np.inf

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache, wraps
+from itertools import product
 from math import inf, ulp
 from typing import Any, ClassVar, ParamSpec, TypeVar
 
@@ -97,10 +98,8 @@ class LoopParameters:
             own.steps(float(self.sample_time), float(self.delay_samples))
         mechanism = self.device.mechanism if self.device else None
         velocity = filter_on(self.velocity, mechanism) if self.velocity else None
-        for chain in (velocity, self.position):
-            if chain is not None:
-                for period in periods:
-                    chain.checked(period)
+        for chain, period in product(filter(None, (velocity, self.position)), periods):
+            chain.checked(period)
 
     def __repr__(self) -> str:
         given = ((field, getattr(self, field.name)) for field in fields(self))
