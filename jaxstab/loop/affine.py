@@ -459,14 +459,12 @@ class Loop(TwoGains):
             *self._in_units(*self._named((), gains).values())
         )
         xp = namespace(polynomial)
-        start = xp.zeros_like(polynomial[..., 1:])
 
         def step(past: Array) -> tuple[Array, Array]:
-            now = past[..., :1]
             following = -xp.sum(polynomial[..., 1:] * past, axis=-1, keepdims=True)
-            return xp.concatenate([following, past[..., :-1]], axis=-1), now[..., 0]
+            return xp.concatenate([following, past[..., :-1]], axis=-1), past[..., 0]
 
-        unit = xp.concatenate([xp.ones_like(start[..., :1]), start[..., 1:]], axis=-1)
+        unit = xp.zeros_like(polynomial[..., 1:]) + np.eye(1, polynomial.shape[-1] - 1)[0]
         return xp.moveaxis(repeat_and_keep(count, step, unit)[1], 0, -1)
 
     def settling_time(

@@ -477,30 +477,26 @@ def _grouped(formed: Iterable[Formed], compiled: set[int], *, outlines: bool) ->
     fewest_compiled = 4  # loops for a program that is compiled
     waiting: dict[int, list[Formed]] = {degree: [] for degree in _DEGREES}
 
-    def groups(own: list[Formed], degree: int) -> Iterator[_Group]:
-        from jaxstab.region.batch import program  # few loops need no JAX
+    def groups(own: list[Formed], degree: int, fewest: int) -> Iterator[_Group]:
+        while _count(own) >= fewest:
+            from jaxstab.region.batch import program  # few loops need no JAX
 
-        compiled.add(degree)
-        while own:
-            piece, own = _cut(own, _AT_ONCE)
+            compiled.add(degree)
+            piece, own[:] = _cut(own, _AT_ONCE)
             yield piece, _triples(piece, degree), program(degree, outlines=outlines)
 
     for part in formed:
         degree = _filled_degree(part)
-        if degree is None:
-            continue
-        waiting[degree].append(part)
-        whole = _count(waiting[degree]) // _AT_ONCE * _AT_ONCE
-        if whole:
-            own, waiting[degree] = _cut(waiting[degree], whole)
-            yield from groups(own, degree)
+        if degree is not None:
+            waiting[degree].append(part)
+            yield from groups(waiting[degree], degree, _AT_ONCE)
     few, share = list[Formed](), 0.0  # of the time to compile, that they take one by one
     for degree in _DEGREES:
         few += waiting[degree]
         share += _count(waiting[degree]) / _FEWEST[degree]
         if share >= 1.0 or (degree in compiled and _count(few) >= fewest_compiled):
-            yield from groups(few, degree)
-            few, share = [], 0.0
+            yield from groups(few, degree, 1)
+            share = 0.0
 
 
 def _count(formed: list[Formed]) -> int:
