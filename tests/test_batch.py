@@ -320,6 +320,14 @@ def test_no_two_angles_of_a_scan_are_the_same() -> None:
         assert np.min(np.diff(inner)) > 1e-9
 
 
+@pytest.mark.parametrize("samples", [1, 2, 3, 16, 20, 60])
+def test_the_curve_of_a_window_goes_to_infinity_where_its_velocity_is_real(samples: int) -> None:
+    """Im V = sin(n theta)/n, also at angles that are among the samples of the circle."""
+    angles = loops_together._poles((Velocity.difference(samples), Filter()))
+    truth = np.pi * np.arange(1, samples) / samples
+    np.testing.assert_allclose(angles, truth, rtol=1e-13)
+
+
 def test_a_program_is_kept_until_eight_others_are_needed() -> None:
     first = ref(program(101))
     assert program(101) is first()
