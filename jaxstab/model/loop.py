@@ -75,7 +75,7 @@ class LoopParameters:
                 number = checker(name, value, 0.0, is_open=is_open)
                 value = value if is_jax(value) else number
             object.__setattr__(self, name, in_doubles(value))
-        is_one = not self.shape  # which refuses arrays that do not broadcast
+        shape = self.shape  # which refuses arrays that do not broadcast
         if not is_any_traced(self.delay, self.sample_time):
             samples = self.delay_samples
             if np.any(samples > LONGEST_DELAY):
@@ -89,9 +89,10 @@ class LoopParameters:
             whole = {int(samples)} if np.ndim(samples) == 0 else set(samples.astype(int).flat)
             if len(whole) == 1:
                 object.__setattr__(self, "_whole_delay", whole.pop())
-        self._refuse_odd_units()
+        if 0 not in shape:
+            self._refuse_odd_units()
         given_filters(self.velocity, self.position)
-        is_one = is_one or is_traced(self.sample_time)
+        is_one = not shape or is_traced(self.sample_time)
         periods = [self.sample_time] if is_one else np.unique(self.sample_time).tolist()
         own = in_steps(self.device) if self.device else None
         if own and is_one and not is_any_traced(self.delay, self.sample_time):
@@ -135,7 +136,7 @@ class LoopParameters:
         """Refuse one mass whose gains lose digits in float64 when they are made dimensionless."""
         least = 2.0**-900  # that of ``gain_units``
         body = self.body
-        if body is None or is_any_traced(body.mass, self.sample_time) or 0 in self.shape:
+        if body is None or is_any_traced(body.mass, self.sample_time):
             return
         (shortest, longest), (lightest, heaviest) = (
             (x, x) if isinstance(x, float) else (float(np.min(x)), float(np.max(x)))
