@@ -13,8 +13,7 @@ Parts of other loops come from their balls one by one, rounded once to pairs of 
 found for all of one degree at once, in float64, from samples of base and S around the circle:
 
 - *poles*, the angles where Im(conj(S) R) changes its sign: the curve goes to infinity there;
-- *roots* of base and of S next to the circle: where one of them is small between two neighbours,
-  Newton's method leads to the root; the slowest pair follows from the last powers of z - 1.
+- *roots* of base and of S next to the circle.
 
 A loop of which an angle is missed is not resolved by a batch, and is answered by itself.
 """
@@ -41,7 +40,7 @@ from jaxstab.model.balls import Factored, ball_triple
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import NO_FILTERS, Filters, behind_measured, exact_chain, given_filters
-from jaxstab.model.linear_loop import Polynomial, filter_factors, filtered_loop
+from jaxstab.model.linear_loop import Polynomial, companion_matrix, filter_factors, filtered_loop
 from jaxstab.model.loop import array_fields, as_one
 from jaxstab.numbers import require_together
 from jaxstab.point.polynomials import codes_in_float64
@@ -764,10 +763,8 @@ def sampled_loops(members: Indices, triples: Sequence[TripleAt]) -> Iterator[For
             rest[turned, 1:] = rest[turned, :0:-1]
         unstable = _are_unstable([every[k][3] for k in own])
         with np.errstate(all="ignore"):  # NaN tells where nothing is found
-            values = _on_circle(parts[0])
-            poles = _infinite(parts[0], values)
-            near = [_slowest(parts[0, :, 0]), *(_near(parts[0], values, k) for k in (0, 1))]
-        roots = np.concatenate(near, axis=1)
+            poles = _infinite(parts[0], _on_circle(parts[0]))
+        roots = _near(parts[0, :, :2]).reshape(own.size, -1, 2)
         order = np.argsort(roots[..., 1], axis=1)[..., None]
         roots = np.take_along_axis(roots, order, axis=1)
         counts = np.sum(np.isfinite(poles), axis=1)
@@ -853,36 +850,21 @@ def _infinite(
     return _in_rows(loop, angle, len(parts))
 
 
-def _near(parts: Float64[np.ndarray, "loop 3 power"], values: Any, part: int) -> Any:
-    """The roots of a part next to the circle."""
-    step, farthest = np.pi / _SAMPLES, 0.05
-    rows, squares = parts[:, part], np.abs(values[:, part]) ** 2
-    before, here, after = squares[:, :-2], squares[:, 1:-1], squares[:, 2:]
-    bend = (before + after - 2.0 * here) / (2.0 * step**2)  # here is that times distance squared
-    loop, place = np.nonzero((here < before) & (here < after) & (here < bend * farthest**2))
-    z = np.exp(1j * (place + 2) * step)
-    for _ in range(_STEPS):
-        ((value, slope),) = _at(z, rows[loop])
-        z = z - z * value / slope
-    found = _in_rows(loop, _places(z), len(rows))
-    return np.where(np.isnan(found), _NO_ROOT, found)
+def _near(falling: Float64[np.ndarray, "loop part power"]) -> Any:
+    """Angles in (0, pi) of the roots of polynomials, and their distances from the circle.
 
-
-def _slowest(base: Rows) -> Any:
-    """The pair of roots of base next to 1, by its last powers of z - 1."""
-    powers = np.arange(base.shape[1])[::-1]
-    a, b, c = (base @ weight for weight in (0.5 * powers * (powers - 1), powers, powers**0))
-    return _places(1.0 + (np.sqrt(b * b - 4.0 * a * c + 0j) - b) / (2.0 * a))[:, None]
-
-
-def _places(root: Complex128[np.ndarray, " root"]) -> Float64[np.ndarray, "root 2"]:
-    """Angles of roots, and distances from the circle; far from it, or real, they are none."""
-    narrowest, farthest, real = 1e-9, _NO_ROOT[1], 1e-6
-    angle, distance = np.abs(np.angle(root)), np.abs(np.log(np.abs(root)))
-    is_one: Bool[np.ndarray, " root"] = (angle > real) & (angle < np.pi - real)
-    is_one &= distance < farthest
+    Far from it, or real, they are none. What is missing before the highest power are roots at 0.
+    """
+    narrowest, farthest, real, count = 1e-9, _NO_ROOT[1], 1e-6, falling.shape[-1]
+    first = np.argmax(falling != 0.0, axis=-1)[..., None]
+    led = np.take_along_axis(falling, (np.arange(count) + first) % count, axis=-1)
+    with np.errstate(all="ignore"):  # a part that is 0 has no roots
+        monic = np.nan_to_num(led / led[..., :1], posinf=0.0, neginf=0.0)
+        roots = np.linalg.eigvals(companion_matrix(monic))
+        angle, distance = np.angle(roots), np.abs(np.log(np.abs(roots)))
+    is_one = (angle > real) & (angle < np.pi - real) & (distance < farthest)
     places = np.stack([angle, np.maximum(distance, narrowest)], axis=-1)
-    return np.where(is_one[:, None], places, _NO_ROOT)
+    return np.where(is_one[..., None], places, _NO_ROOT)
 
 
 def _in_rows(loop: Indices, found: Any, count: int) -> Any:
