@@ -26,7 +26,7 @@ from math import prod
 from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import numpy as np
-from jaxtyping import Bool, Complex128, Float64, Int8, Int64
+from jaxtyping import Bool, Float64, Int8, Int64
 
 from jaxstab.arrays import Array, is_any_jax, is_any_traced, leaves, namespace, take, tree_map
 from jaxstab.batches import ahead, alike, in_float64
@@ -59,7 +59,6 @@ _FORMED = 2048  # loops of one mass that are formed at once
 _SCANS = 3  # of a loop, at most
 _DEGREES = (5, 9, 17, 25, 41, 65)  # up to which p(z) are filled: each program takes memory
 _SAMPLES = 512  # of half the circle
-_STEPS = 4  # of Newton's method
 _NO_ROOT = 0.0, 0.05  # its angle, and its distance from the circle
 _FEWEST = dict(zip(_DEGREES, (400, 400, 400, 400, 200, 100), strict=True))
 """Loops of a degree for which a program is compiled, which takes longer, or is in the cache."""
@@ -710,7 +709,7 @@ def _poles(filters: Filters) -> Angles | None:
     if size >= ill_conditioned * least or exact_chain(filters[1].sections)[0](1) == 0:
         return None
     poles: Angles = _infinite(parts, values)[0]
-    return poles
+    return poles[np.isfinite(poles)]
 
 
 def _scans(formed: Formed, degree: int) -> Float64[Array, "loop angle"]:
@@ -824,16 +823,6 @@ def _on_circle(falling: Float64[np.ndarray, "loop 3 power"]) -> Any:
     return np.fft.rfft(falling, 2 * _SAMPLES)[..., 1:-1]
 
 
-def _at(z: Complex128[np.ndarray, " row"], *parts: Rows) -> list[tuple[Any, Any]]:
-    """The values of polynomials at one place each, and their derivatives times z."""
-    count = parts[0].shape[1]
-    powers = np.ones((z.size, count), complex)
-    powers[:, :-1] = np.cumprod(np.broadcast_to(z[:, None], (z.size, count - 1)), axis=1)[:, ::-1]
-    order = np.arange(count)[::-1]
-    terms = (rows * powers for rows in parts)
-    return [(own.sum(axis=1), np.einsum("rp,p->r", own, order)) for own in terms]
-
-
 def _infinite(
     parts: Float64[np.ndarray, "loop 3 power"], values: Any
 ) -> Float64[np.ndarray, "loop _"]:
@@ -842,12 +831,15 @@ def _infinite(
     loop, place = np.nonzero((det[:, 1:] > 0.0) != (det[:, :-1] > 0.0))
     share = det[loop, place] / (det[loop, place] - det[loop, place + 1])
     step, low = np.pi / _SAMPLES, (place + 1) * (np.pi / _SAMPLES)
-    angle = low + share * step
-    for _ in range(_STEPS):
-        (s, s_slope), (r, r_slope) = _at(np.exp(1j * angle), parts[loop, 1], parts[loop, 2])
+    angle, order = low + share * step, np.arange(parts.shape[-1])[::-1]
+    for _ in range(4):  # steps of Newton's method
+        terms = parts[loop, 1:] * np.vander(np.exp(1j * angle), order.size)[:, None]
+        (s, r), (s_slope, r_slope) = terms.sum(axis=-1).T, (terms @ order).T
         slope = (s.conj() * r_slope - s_slope.conj() * r).real  # d/dtheta is iz d/dz
         angle = np.clip(angle - (s.conj() * r).imag / slope, low, low + step)
-    return _in_rows(loop, angle, len(parts))
+    found = np.full_like(det[:, 1:], np.nan)
+    found[loop, place] = angle
+    return np.sort(found, axis=1)[:, : np.max(np.bincount(loop), initial=0)]
 
 
 def _near(falling: Float64[np.ndarray, "loop part power"]) -> Any:
@@ -865,11 +857,3 @@ def _near(falling: Float64[np.ndarray, "loop part power"]) -> Any:
     is_one = (angle > real) & (angle < np.pi - real) & (distance < farthest)
     places = np.stack([angle, np.maximum(distance, narrowest)], axis=-1)
     return np.where(is_one[..., None], places, _NO_ROOT)
-
-
-def _in_rows(loop: Indices, found: Any, count: int) -> Any:
-    """The values found for loops, in their order, as a row for each; NaN fills them up."""
-    counts = np.bincount(loop, minlength=count)
-    rows = np.full((count, int(np.max(counts, initial=0)), *found.shape[1:]), np.nan)
-    rows[loop, np.arange(loop.size) - (np.cumsum(counts) - counts)[loop]] = found
-    return rows
