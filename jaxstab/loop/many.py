@@ -40,7 +40,7 @@ from jaxstab.model.balls import Factored, ball_triple
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import NO_FILTERS, Filters, behind_measured, exact_chain, given_filters
-from jaxstab.model.linear_loop import Polynomial, companion_matrix, filter_factors, filtered_loop
+from jaxstab.model.linear_loop import companion_matrix, filter_factors, filtered_loop
 from jaxstab.model.loop import array_fields, as_one
 from jaxstab.numbers import require_together
 from jaxstab.point.polynomials import codes_in_float64
@@ -516,14 +516,12 @@ def _with_missed(formed: list[Formed], missed: Float64[np.ndarray, "loop 2"]) ->
     """Yield the loops of which a piece was missed: their scans will be finer next to it."""
     first_angles = np.array([1e-5, 3e-5])  # their distances from where a piece was missed
     more = np.stack(np.broadcast_arrays(missed, first_angles), axis=-1)
-    start = 0
-    for part in formed:
-        count = len(part.members)
-        own = np.flatnonzero(np.isfinite(missed[start : start + count, 0]))
+    ends = np.cumsum([len(part.members) for part in formed])
+    for part, added in zip(formed, np.split(more, ends[:-1]), strict=True):
+        own = np.flatnonzero(np.isfinite(added[:, 0, 0]))
         if own.size:
-            roots = np.concatenate([part.roots[own], more[start + own]], axis=1)
+            roots = np.concatenate([part.roots[own], added[own]], axis=1)
             yield take(part, own)._replace(roots=roots)
-        start += count
 
 
 def _formed(stacks: list[Stack], *, in_charts: bool = False) -> Iterator[Formed]:
@@ -675,20 +673,12 @@ def _columns(rows: Sequence[Sequence[DoubleDouble]], count: int) -> DoubleDouble
 
 
 def _shifted(falling: DoubleDouble) -> Float64[Array, "loop part power"]:
-    """Return the coefficients in powers of z - 1, in float64."""
-    powers = range(falling.hi.shape[-1])
-    columns = tuple(DoubleDouble(falling.hi[..., k], falling.lo[..., k]) for k in powers)
-    return namespace(falling).stack([column.rounded() for column in _about_one(columns)], axis=-1)
-
-
-def _about_one(falling: Polynomial) -> Polynomial:
-    """Return the coefficients in powers of z - 1, by Horner's rule."""
-    quotient, coefficients = falling, []
-    while len(quotient) > 1:
-        *sums, value = accumulate(quotient, DoubleDouble.__add__)
-        coefficients.append(value)
-        quotient = tuple(sums)
-    return (*quotient, *coefficients[::-1])
+    """Return the coefficients in powers of z - 1, by Horner's rule, in float64."""
+    quotient, rising = [falling[..., k] for k in range(falling.hi.shape[-1])], []
+    while quotient:
+        *quotient, value = accumulate(quotient, DoubleDouble.__add__)
+        rising.append(value.rounded())
+    return namespace(falling).stack(rising[::-1], axis=-1)
 
 
 @lru_cache(64)
