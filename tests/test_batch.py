@@ -320,6 +320,22 @@ def test_no_two_angles_of_a_scan_are_the_same() -> None:
         assert np.min(np.diff(inner)) > 1e-9
 
 
+def test_devices_that_are_given_twice_have_answers_of_their_own() -> None:
+    """Equal loops are one stack, each of its members a loop of the batch."""
+    hertz = np.arange(30.0, 110.0).tolist()
+    modes = [Mode(frequency=own, damping_ratio=0.02, modal_mass=1.0) for own in hertz]
+    loops = [
+        HapticLoop(device=Device.modes([one], mass=0.2, damping=0.1), sample_time=1e-3, delay=1e-3)
+        for one in modes
+    ]
+    alone, twice = limits_of(loops), limits_of([*loops[:40], *loops])
+    assert not np.any(alone.is_single)
+    assert not np.any(twice.is_single)
+    np.testing.assert_allclose(twice.stiffness[:40], alone.stiffness[:40], rtol=1e-9)
+    np.testing.assert_allclose(twice.stiffness[40:], alone.stiffness, rtol=1e-9)
+    assert abs(alone.stiffness[0] - loops[0].limits().stiffness) < 1e-9 * alone.stiffness[0]
+
+
 @pytest.mark.parametrize("samples", [1, 2, 3, 16, 20, 60])
 def test_the_curve_of_a_window_goes_to_infinity_where_its_velocity_is_real(samples: int) -> None:
     """Im V = sin(n theta)/n, also at angles that are among the samples of the circle."""

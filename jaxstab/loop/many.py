@@ -21,7 +21,7 @@ A loop of which an angle is missed is not resolved by a batch, and is answered b
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial, reduce
-from itertools import accumulate, chain
+from itertools import accumulate, chain, islice
 from math import prod
 from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
@@ -529,15 +529,10 @@ def _formed(stacks: list[Stack], *, in_charts: bool = False) -> Iterator[Formed]
 
     Those with filters that leave float64 few digits are left out.
     """
-    devices: list[tuple[Indices, Any]] = []
     for members, loop in stacks:
-        if isinstance(loop, list):
-            yield from _of_gains(members, loop, in_charts=in_charts)
+        if isinstance(loop, list) or loop.body is None:
             continue
         filters = given_filters(**loop.filters) or NO_FILTERS
-        if loop.body is None:
-            devices += [(members, loop)] if _poles(filters) is not None else []
-            continue
         values = *loop.slice.values(), loop.stiffness(1.0), loop.damping(1.0), members
         gamma, delta, delay, *scale, _ = np.broadcast_arrays(*values)
         units = np.stack(scale, axis=-1)
@@ -545,19 +540,21 @@ def _formed(stacks: list[Stack], *, in_charts: bool = False) -> Iterator[Formed]
             for part in np.split(alone, range(_FORMED, len(alone), _FORMED)):
                 own = members[part], units[part], gamma[part], delta[part], delay[part]
                 yield from _masses(*own, filters)
-    for start in range(0, len(devices), _AT_ONCE):
-        block, loops = zip(*devices[start : start + _AT_ONCE], strict=True)
-        triples = [partial(ball_triple, loop) for loop in loops]
-        yield from sampled_loops(np.concatenate(block), triples)
+    others = _by_balls(stacks, in_charts=in_charts)
+    while block := list(islice(others, _AT_ONCE)):
+        indices, triples = zip(*block, strict=True)
+        yield from sampled_loops(np.array(indices), triples)
 
 
-def _of_gains(members: Indices, loops: list[Loop], *, in_charts: bool = False) -> Iterator[Formed]:
-    """Yield loops of any two gains, if these are those of the chart, or all in their charts."""
-    for start in range(0, len(loops), _AT_ONCE):
-        block = members[start : start + _AT_ONCE].tolist()
-        block = [k for k in block if in_charts or loops[k]._chart.are_gains]
-        triples = [partial(affine_triple, loops[k]._chart) for k in block]
-        yield from sampled_loops(np.array(block, int), triples)
+def _by_balls(stacks: list[Stack], *, in_charts: bool) -> Iterator[tuple[int, TripleAt]]:
+    """Yield other devices, and loops of any two gains if these are those of the chart, or all."""
+    for members, loop in stacks:
+        if isinstance(loop, list):
+            pairs = zip(members.tolist(), loop, strict=True)
+            chosen = ((k, one) for k, one in pairs if in_charts or one._chart.are_gains)
+            yield from ((k, partial(affine_triple, one._chart)) for k, one in chosen)
+        elif loop.body is None and _poles(given_filters(**loop.filters) or NO_FILTERS) is not None:
+            yield from ((k, partial(ball_triple, loop)) for k in members.tolist())
 
 
 def _masses(
