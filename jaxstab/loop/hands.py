@@ -330,8 +330,7 @@ def _common_rows(regions: Sequence[WallRegion]) -> tuple[float, float]:
 def _common_limits(regions: Sequence[WallRegion], rows: Rows) -> tuple[Rows, Rows]:
     """The ends of the widest interval of stiffness that all regions have in each row."""
     shared = reduce(_shared, (region.stiffness_intervals(rows) for region in regions))
-    if not shared.shape[1]:
-        return np.full(len(rows), np.inf), np.full(len(rows), -np.inf)
+    shared = np.pad(shared, ((0, 0), (0, 1), (0, 0)), constant_values=np.nan)  # there may be none
     shared = np.where(np.isnan(shared), [np.inf, -np.inf], shared)
     widest = np.argmax(shared[..., 1] - shared[..., 0], axis=1)
     left, right = shared[np.arange(len(rows)), widest].T

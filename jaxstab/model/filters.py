@@ -77,13 +77,12 @@ class Section:
         """Return the section in units of a sampling period in s."""
         if not self.powers:
             return self
-        given = {name: getattr(self, name) for name in self.powers}
-        scaled = {name: given[name] * sample_time**power for name, power in self.powers.items()}
+        scaled = {name: getattr(self, name) * sample_time**n for name, n in self.powers.items()}
         section: Section = replace(self, **scaled)  # type: ignore[type-var]
         if self.remedy and not is_traced(section.number) and not section.is_filter:
-            name, value = next(iter(given.items()))
+            name = next(iter(self.powers))
             words = self.remedy.format(period=float(sample_time), rate=0.5 / float(sample_time))
-            raise ValueError(f"{name} is {shown(value)}; {words}")
+            raise ValueError(f"{name} is {shown(getattr(self, name))}; {words}")
         return section
 
     @property
@@ -109,11 +108,9 @@ class Section:
     @property
     def toml(self) -> dict[str, Any]:
         """The keys and values of TOML of a section in units of one sample."""
-        given = {self.keys.get(name, name): value for name, value in vars(self).items()}
-        rows = (
-            (key, [*value] if isinstance(value, tuple) else value) for key, value in given.items()
-        )
-        return {key: value for key, value in rows if value is not None}
+        given = {name: value for name, value in vars(self).items() if value is not None}
+        values = ([*value] if isinstance(value, tuple) else value for value in given.values())
+        return {self.keys.get(name, name): value for name, value in zip(given, values, strict=True)}
 
     def factors(self, number: Any) -> list[Stage]:
         """The factors of the transfer function, by that number: a pair or a fraction."""
