@@ -687,7 +687,7 @@ def _poles(filters: Filters) -> Angles | None:
     ill_conditioned = 1e8  # a denominator's coefficients, over its least size on the circle
     if behind_measured(filters[0]) is not None:
         return None
-    rows = filter_factors(filters).parts
+    rows, _ = filter_factors(filters)
     parts = np.zeros((1, 3, max(map(len, rows))))
     for part, row in zip(parts[0], rows, strict=True):
         part[: len(row)] = [float(c.rounded()) for c in row]

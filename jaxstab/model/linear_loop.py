@@ -92,8 +92,8 @@ def filtered_loop(
         numerator = numerator[:2]
     plants = denominator, numerator, numerator
     errors = 2.0 * relative + gamma * rounding, 3.0 * rounding, 3.0 * rounding  # D(1) = gamma N(1)
-    factors = filter_factors(filters)
-    parts = [product(plant, factor) for plant, factor in zip(plants, factors.parts, strict=True)]
+    factors, inherited = filter_factors(filters)
+    parts = [product(plant, factor) for plant, factor in zip(plants, factors, strict=True)]
     zeros = (_ZERO,) * (whole_delay + 1)
     parts[1:] = [zeros + part for part in parts[1:]]
     degree = max(map(len, parts)) - 1
@@ -101,15 +101,13 @@ def filtered_loop(
     late = -1.0 if len(zeros) % 2 else 1.0
     turned = (-pairs.d1 + _ONE + pairs.d0, *[pairs.difference.scaled(late)] * 2)
     ends = (pairs.den_at_one, pairs.sum, pairs.sum), turned
-    sizes = [
-        size_sum(part) + error for part, error in zip(factors.parts, factors.errors, strict=True)
-    ]
+    sizes = [size_sum(part) + error for part, error in zip(factors, inherited, strict=True)]
     bounds = [
-        error * size + size_sum(plant) * (inherited + 2.0 * PAIR_PRODUCT * size)
-        for plant, error, size, inherited in zip(plants, errors, sizes, factors.errors, strict=True)
+        error * size + size_sum(plant) * (of_filters + 2.0 * PAIR_PRODUCT * size)
+        for plant, error, size, of_filters in zip(plants, errors, sizes, inherited, strict=True)
     ]
     at_one, at_minus_one = (
-        tuple(map(DoubleDouble.__mul__, end, factors.values_at(z)))
+        tuple(map(DoubleDouble.__mul__, end, _values_at(z, factors)))
         for z, end in zip((1, -1), ends, strict=True)
     )
     return LinearLoop(
@@ -123,55 +121,49 @@ def filtered_loop(
     )
 
 
-class FilterFactors(NamedTuple):
-    """The factors that estimator and filter put beside D and N, in powers of 1/z.
+Factors = tuple[Polynomial, Polynomial, Polynomial]
+Errors = tuple[Array, Array, Array]
 
-    parts: Bp Bv beside D, Ap Bv and Av Bp beside N.
-    errors: bounds of the errors of the coefficients of each, summed, and of its values at 1 and -1.
+
+def _values_at(z: int, factors: Factors) -> Polynomial:
+    """The values at z = 1 or -1, where that of Av at 1 is exactly 0."""
+    first, second, third = (
+        reduce(lambda value, c: value.scaled(float(z)) + c, part[::-1], _ZERO) for part in factors
+    )
+    return first, second, _ZERO if z == 1 else third
+
+
+def filter_factors(filters: Filters) -> tuple[Factors, Errors]:
+    """What filters in units of one sample put beside D and N, in powers of 1/z, and its errors.
+
+    They are Bp Bv beside D, Ap Bv and Av Bp beside N; the errors are bounds of those of the
+    coefficients of each, summed, and of its values at 1 and -1.
     """
-
-    parts: tuple[Polynomial, Polynomial, Polynomial]
-    errors: tuple[Array, Array, Array]
-
-    def values_at(self, z: int) -> Polynomial:
-        """The values at z = 1 or -1, where that of Av at 1 is exactly 0."""
-        values = [
-            reduce(lambda value, c: value.scaled(float(z)) + c, part[::-1], _ZERO)
-            for part in self.parts
-        ]
-        return (*values[:2], _ZERO if z == 1 else values[2])
-
-
-def filter_factors(filters: Filters) -> FilterFactors:
-    """The factors of the loop of filters in units of one sample."""
     velocity, position = filters
     chains = velocity.filter.sections, position.sections
     if not any(chains):
-        return FilterFactors(((_ONE,), (_ONE,), (_ONE, -_ONE)), (0.0, 0.0, 0.0))
+        return ((_ONE,), (_ONE,), (_ONE, -_ONE)), (0.0, 0.0, 0.0)
     if not is_any_jax(filters):
         return _exact_factors(*chains)
     (above_v, below_v, sizes_v), (above_p, below_p, sizes_p) = map(_in_pairs, chains)
     above_v, size = product((_ONE, -_ONE), above_v), 2.0 * sizes_v[0]
     # Lemma V7 counts the stages, and what is done with their product.
     rounding = FILTERS * (4 + sum(len(section.stages()) for chain in chains for section in chain))
-    return FilterFactors(
-        (product(below_p, below_v), product(above_p, below_v), product(above_v, below_p)),
-        (
-            rounding * sizes_p[1] * sizes_v[1],
-            rounding * sizes_p[0] * sizes_v[1],
-            rounding * size * sizes_p[1],
-        ),
-    )
+    factors = product(below_p, below_v), product(above_p, below_v), product(above_v, below_p)
+    sizes = sizes_p[1] * sizes_v[1], sizes_p[0] * sizes_v[1], size * sizes_p[1]
+    return factors, (rounding * sizes[0], rounding * sizes[1], rounding * sizes[2])
 
 
 @lru_cache(maxsize=256)
-def _exact_factors(velocity: tuple[Section, ...], position: tuple[Section, ...]) -> FilterFactors:
+def _exact_factors(
+    velocity: tuple[Section, ...], position: tuple[Section, ...]
+) -> tuple[Factors, Errors]:
     (above_v, below_v), (above_p, below_p) = map(exact_chain, (velocity, position))
     above_v -= above_v.left_shift(1)
     exact_parts = below_p * below_v, above_p * below_v, above_v * below_p
     base, stiffness, damping = (tuple(map(_nearest, part.coeffs())) for part in exact_parts)
     errors = [4.0 * FILTERS * size_sum(part) for part in (base, stiffness, damping)]
-    return FilterFactors((base, stiffness, damping), (errors[0], errors[1], errors[2]))
+    return (base, stiffness, damping), (errors[0], errors[1], errors[2])
 
 
 def _nearest(number: Any) -> DoubleDouble:
