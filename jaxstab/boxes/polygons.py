@@ -19,7 +19,7 @@ from jaxstab.conventions import Range, Verdict
 from jaxstab.model import by_name, checked_delay, checked_delta, checked_gamma
 from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, known_filters
 from jaxstab.model.loop import unit_loop
-from jaxstab.model.parameters import wall_grid
+from jaxstab.model.plant import wall_grid
 from jaxstab.numbers import checked_number, two_ends
 from jaxstab.point import verdict
 from jaxstab.region.region import stable_region

@@ -50,7 +50,7 @@ from jaxstab.model.device.device import Device, in_steps
 from jaxstab.model.device.parts import working_precision
 from jaxstab.model.filters import Filter, Velocity, filter_on
 from jaxstab.model.linear_loop import LinearLoop
-from jaxstab.model.parameters import LONGEST_DELAY, checked_gain, wall_grid
+from jaxstab.model.plant import LONGEST_DELAY, checked_gain, wall_grid
 from jaxstab.motion.settling import SettlingTime, checked_level, settled_answer
 from jaxstab.numbers import (
     checked_count,

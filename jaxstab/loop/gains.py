@@ -19,7 +19,7 @@ from jaxstab.arrays import Array, Numbers, is_any_jax, is_any_traced, namespace
 from jaxstab.conventions import Verdict
 from jaxstab.loop.margins import FrequencyMargins, wall_frequency_margins
 from jaxstab.model.balls import Factored, Triple, rounded_triple
-from jaxstab.model.parameters import checked_gain, wall_grid
+from jaxstab.model.plant import checked_gain, wall_grid
 from jaxstab.numbers import checked_number, checked_word
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from jaxstab.loop.region import TOLERANCE, WallLimits, wall_region
 from jaxstab.model import LoopParameters
 from jaxstab.model.balls import ball_loop, ball_triple
 from jaxstab.model.device.sampling import late_cosines
-from jaxstab.model.parameters import LONGEST_DELAY, wall_grid
+from jaxstab.model.plant import LONGEST_DELAY, wall_grid
 from jaxstab.motion.moving_delays import Delays, growing_turn
 from jaxstab.numbers import checked_number, two_ends
 from jaxstab.rounding import EPS

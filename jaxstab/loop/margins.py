@@ -40,7 +40,7 @@ from jaxstab.model.device.device import in_steps
 from jaxstab.model.device.sampling import one_sample
 from jaxstab.model.filters import Filter, Velocity, known_filters
 from jaxstab.model.loop import LoopParameters, refuses_loops, unit_loops
-from jaxstab.model.parameters import LONGEST_DELAY, wall_grid
+from jaxstab.model.plant import LONGEST_DELAY, wall_grid
 from jaxstab.numbers import checked, require_together, without_noise
 from jaxstab.rounding import UNIT
 from jaxstab.shown import number_text, rounded_text, table_text

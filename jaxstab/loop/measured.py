@@ -34,7 +34,7 @@ from jaxstab.loop.region import WallLimits
 from jaxstab.model import LoopParameters
 from jaxstab.model.device.discrete import MeasuredResponse
 from jaxstab.model.filters import NO_FILTERS, known_filters
-from jaxstab.model.parameters import wall_grid
+from jaxstab.model.plant import wall_grid
 from jaxstab.numbers import without_noise
 from jaxstab.region import RegionStatus
 from jaxstab.region.closed_form import responses_at

@@ -40,7 +40,7 @@ from jaxstab.model.filters import (
     given_filters,
 )
 from jaxstab.model.linear_loop import LinearLoop, Polynomial
-from jaxstab.model.parameters import GAIN_LIMIT
+from jaxstab.model.plant import GAIN_LIMIT
 from jaxstab.rounding import PAIR_UNIT, RAISED
 
 if TYPE_CHECKING:

@@ -30,16 +30,18 @@ from jaxstab.model.filters import (
     exact_chain,
     given_filters,
 )
-from jaxstab.model.parameters import (
+from jaxstab.model.plant import (
     TracedDelay,
     checked_delay,
     checked_delta,
     checked_gain,
     checked_gamma,
+    may_cancel,
+    pairs_error,
+    plant_pairs,
     require_x64,
     whole_and_fraction,
 )
-from jaxstab.model.plant import may_cancel, pairs_error, plant_pairs
 from jaxstab.numbers import real_numbers, require_together
 from jaxstab.rounding import FILTERS, PAIR_PRODUCT
 

@@ -25,7 +25,7 @@ from jaxstab.model.device.parts import MassSpringDamper
 from jaxstab.model.device.sampling import gain_units
 from jaxstab.model.filters import Average, Filter, Velocity, filter_on, given_filters, known_filters
 from jaxstab.model.linear_loop import LinearLoop
-from jaxstab.model.parameters import LONGEST_DELAY, TracedDelay, by_name
+from jaxstab.model.plant import LONGEST_DELAY, TracedDelay, by_name
 from jaxstab.numbers import (
     checked,
     checked_number,

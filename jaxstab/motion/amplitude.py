@@ -26,7 +26,7 @@ from jaxstab.model import LoopParameters, checked_delay, checked_gain
 from jaxstab.model.device.mechanics import Between, between_samples
 from jaxstab.model.filters import Filter, Velocity, given_filters
 from jaxstab.model.loop import unit_loops
-from jaxstab.model.parameters import checked_delta, checked_gamma
+from jaxstab.model.plant import checked_delta, checked_gamma
 from jaxstab.motion.response import Column, Controller, answer_text, controller_for
 from jaxstab.numbers import checked, require_together
 from jaxstab.rounding import RAISED

@@ -18,7 +18,7 @@ import numpy as np
 
 from jaxstab.exact.turns import PeriodicLoop, is_growing, segments_of
 from jaxstab.model import LoopParameters
-from jaxstab.model.parameters import LONGEST_DELAY
+from jaxstab.model.plant import LONGEST_DELAY
 from jaxstab.numbers import checked_count
 from jaxstab.rounding import EPS
 

@@ -17,7 +17,7 @@ from jaxstab.exact.response import settled_after
 from jaxstab.model import LoopParameters, checked_delay, checked_gain
 from jaxstab.model.filters import Filter, Velocity
 from jaxstab.model.loop import unit_loops
-from jaxstab.model.parameters import checked_delta, checked_gamma
+from jaxstab.model.plant import checked_delta, checked_gamma
 from jaxstab.motion.response import Column, answer_text, deviations
 from jaxstab.numbers import checked_count, checked_number, checked_word, require_together
 from jaxstab.point.verdicts import linear_verdict

@@ -30,8 +30,7 @@ from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Array, Numbers, float_arrays
 from jaxstab.model import checked_delay, checked_delta, checked_gain, checked_gamma, require_x64
-from jaxstab.model.parameters import wall_grid
-from jaxstab.model.plant import PlantCoefficients, plant_pairs
+from jaxstab.model.plant import PlantCoefficients, plant_pairs, wall_grid
 from jaxstab.numbers import checked_number, require_together
 from jaxstab.region.closed_form import slice_coefficients
 

@@ -41,8 +41,7 @@ from jaxstab.model.double_double import size_sum
 from jaxstab.model.filters import NO_FILTERS, Filter, Filters, Velocity, as_keywords, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.loop import unit_loop
-from jaxstab.model.parameters import whole_and_fraction
-from jaxstab.model.plant import may_cancel, pairs_error
+from jaxstab.model.plant import may_cancel, pairs_error, whole_and_fraction
 from jaxstab.numbers import require_together
 from jaxstab.point.poles import looked_up
 from jaxstab.point.schur_cohn import (

@@ -39,8 +39,7 @@ from jaxstab.batches import MANY_ANGLES, compiled
 from jaxstab.model import checked_delta, checked_gamma
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filters
-from jaxstab.model.parameters import whole_and_fraction
-from jaxstab.model.plant import PlantCoefficients, plant_pairs
+from jaxstab.model.plant import PlantCoefficients, plant_pairs, whole_and_fraction
 from jaxstab.numbers import checked, require_together
 
 # sin(x) / x and cos(x) as series in x^2, for all x up to pi/4 and derivatives, too.

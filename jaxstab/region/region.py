@@ -32,7 +32,7 @@ from jaxstab.model import LoopParameters
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.model.filters import Filter, Velocity, as_keywords, known_filters
 from jaxstab.model.loop import refuses_loops, unit_loop
-from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, LONGEST_DELAY
+from jaxstab.model.plant import DELTA_LIMIT, GAMMA_LIMIT, LONGEST_DELAY
 from jaxstab.numbers import checked_number
 from jaxstab.region import measures
 from jaxstab.region.curve import Curve, curve_gains, curve_of, drawn_out, true_angles

@@ -24,7 +24,7 @@ from jaxstab.model import Hand as Arm
 from jaxstab.model.balls import ball_triple
 from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.model.filters import Velocity, given_filters
-from jaxstab.model.parameters import DELTA_LIMIT, GAIN_LIMIT, GAMMA_LIMIT
+from jaxstab.model.plant import DELTA_LIMIT, GAIN_LIMIT, GAMMA_LIMIT
 from jaxstab.region import RegionStatus
 from jaxstab.scene.answers import Answer, GainAnswer, Quantity, printed_wall
 from jaxstab.scene.scene import Hand, Scene, Units, range_in_words

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, NamedTuple
 from jaxstab import tables as t
 from jaxstab.model import Filter, Velocity
 from jaxstab.model.filter_tables import WINDOW, FilterTable
-from jaxstab.model.parameters import LONGEST_DELAY
+from jaxstab.model.plant import LONGEST_DELAY
 from jaxstab.shown import shortened
 
 # The units of a scene: those of motion along a line, or those of rotation.
