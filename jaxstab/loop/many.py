@@ -691,11 +691,11 @@ def _poles(filters: Filters) -> Angles | None:
     parts = np.zeros((1, 3, max(map(len, rows))))
     for part, row in zip(parts[0], rows, strict=True):
         part[: len(row)] = [float(c.rounded()) for c in row]
-    values = _on_circle(parts)
-    least, size = np.min(np.abs(values[0, 0])), np.sum(np.abs(parts[0, 0]))
+    least = np.min(np.abs(np.fft.rfft(parts[0, 0], 2 * _SAMPLES)))
+    size = np.sum(np.abs(parts[0, 0]))
     if size >= ill_conditioned * least or exact_chain(filters[1].sections)[0](1) == 0:
         return None
-    poles: Angles = _infinite(parts, values)[0]
+    poles: Angles = _infinite(parts)[0]
     return poles[np.isfinite(poles)]
 
 
@@ -749,7 +749,7 @@ def sampled_loops(members: Indices, triples: Sequence[TripleAt]) -> Iterator[For
             rest[turned, 1:] = rest[turned, :0:-1]
         unstable = _are_unstable([every[k][3] for k in own])
         with np.errstate(all="ignore"):  # NaN tells where nothing is found
-            poles = _infinite(parts[0], _on_circle(parts[0]))
+            poles = _infinite(parts[0])
         roots = _near(parts[0, :, :2]).reshape(own.size, -1, 2)
         order = np.argsort(roots[..., 1], axis=1)[..., None]
         roots = np.take_along_axis(roots, order, axis=1)
@@ -776,7 +776,11 @@ def _rounded(triple_at: TripleAt) -> tuple[Any, Any, Any, Any]:
     with working_precision(FIRST_BITS):
         triple = triple_at().monic()
         degree, sign = triple.degree, (-1) ** triple.degree
-        high, low = zip(*(_pairs(part, degree) for part in triple), strict=True)
+        wholes = [part.polynomial() for part in triple]
+        rows = [[whole[power] for power in range(degree, -1, -1)] for whole in wholes]
+        high = [list(map(float, row)) for row in rows]
+        pairs = [zip(*own, strict=True) for own in zip(rows, high, strict=True)]
+        low = [[float(ball - number) for ball, number in own] for own in pairs]
         ends = [[float(part.at_end(z)) * s for part in triple] for z, s in ((1, 1), (-1, sign))]
     return high, low, ends, triple.base.rest
 
@@ -797,23 +801,9 @@ def _are_unstable(rests: list[Any]) -> Bool[np.ndarray, " loop"]:
     return is_outside
 
 
-def _pairs(part: Factored, degree: int) -> tuple[list[float], list[float]]:
-    """The coefficients of a polynomial, highest power first, and what rounding took from them."""
-    whole = part.polynomial()
-    falling = [whole[power] for power in range(degree, -1, -1)]
-    high = list(map(float, falling))
-    return high, [float(c - h) for c, h in zip(falling, high, strict=True)]
-
-
-def _on_circle(falling: Float64[np.ndarray, "loop 3 power"]) -> Any:
-    """The values of polynomials, but for a power of z, at angles between 0 and pi."""
-    return np.fft.rfft(falling, 2 * _SAMPLES)[..., 1:-1]
-
-
-def _infinite(
-    parts: Float64[np.ndarray, "loop 3 power"], values: Any
-) -> Float64[np.ndarray, "loop _"]:
+def _infinite(parts: Float64[np.ndarray, "loop 3 power"]) -> Float64[np.ndarray, "loop _"]:
     """The angles where Im(conj(S) R) changes its sign, and NaN behind them."""
+    values = np.fft.rfft(parts, 2 * _SAMPLES)[..., 1:-1]  # in (0, pi), but for a power of z
     det = values[:, 1].real * values[:, 2].imag - values[:, 1].imag * values[:, 2].real
     loop, place = np.nonzero((det[:, 1:] > 0.0) != (det[:, :-1] > 0.0))
     share = det[loop, place] / (det[loop, place] - det[loop, place + 1])
