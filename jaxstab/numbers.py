@@ -108,8 +108,7 @@ def require_unmasked(name: str, value: Any) -> None:
 def require_kind(name: str, value: Any, kind: type, public: str = "") -> None:
     """Refuse what is not of a class of ours, by its public name; TypeError."""
     if not isinstance(value, kind):
-        words = f"{name} is {shortened(value)}; give a jaxstab.{public or kind.__name__}."
-        raise TypeError(" ".join(words.split()))  # some answers print lines
+        raise TypeError(f"{name} is {shortened(value)}; give a jaxstab.{public or kind.__name__}.")
 
 
 def _is_allowed(value: float, low: float, high: float, is_open: bool) -> bool:
@@ -140,10 +139,18 @@ def checked_number(
 
 def two_ends(name: str, ends: Any, low: int | float = -inf, *, unit: str = "") -> Range:
     """The ends of a range as numbers from ``low`` on; TypeError unless it has two."""
-    if np.shape(ends) != (2,):
+    if not has_shape(ends, 2):
         raise TypeError(f"{name} is {shortened(ends)}; give its lowest and its highest value.")
     first, last = (checked_number(name, end, low, unit=unit) for end in ends)
     return first, last
+
+
+def has_shape(value: Any, *shape: int) -> bool:
+    """True for values in a shape; rows of different lengths have none."""
+    try:
+        return np.shape(value) == shape
+    except ValueError:
+        return False
 
 
 def without_noise(values: Numbers, extent: int | float) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -153,21 +160,22 @@ def without_noise(values: Numbers, extent: int | float) -> np.ndarray[Any, np.dt
     return np.where(np.abs(coordinates) <= noise, 0.0, coordinates)
 
 
-def checked_count(name: str, value: Any, least: int, most: int | float = inf) -> int:
+def checked_count(name: str, value: Any, least: int, most: int = 10**8) -> int:
     """A whole number in [least, most]; TypeError for others (True and 3.0), ValueError outside."""
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
         raise TypeError(f"{name} is {shortened(value)}; give a whole number.")
-    if not least <= value <= most:
-        given = f">= {least}" if most == inf else f"from {least} to {most:,}"
+    count = int(value)  # NumPy compares no int8 with larger numbers
+    if not least <= count <= most:
+        given = f"from {least} to {most:,}"
         raise ValueError(f"{name} is {shortened(value)}; give a whole number {given}.")
-    return int(value)
+    return count
 
 
 def checked_word(name: str, value: Any, allowed: Mapping[str, Any] | tuple[str, ...]) -> str:
     """One of some words, else ValueError."""
     if not isinstance(value, str) or value not in allowed:
         words = ", ".join(f'"{word}"' for word in allowed)
-        raise ValueError(f"{name} is {value!r}; give one of {words}.")
+        raise ValueError(f"{name} is {shortened(value)}; give one of {words}.")
     return str(value)
 
 

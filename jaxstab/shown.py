@@ -23,7 +23,10 @@ def printable(text: str, besides: str = "") -> str:
 
 
 class _Short(Repr):
-    """The beginning and the end of a repr; Python writes out no whole number of 4,301 digits."""
+    """The ends of a repr, in one line; Python writes out no whole number of 4,301 digits."""
+
+    def repr(self, x: Any) -> str:
+        return " ".join(super().repr(x).split())
 
     def repr_int(self, x: int, level: int) -> str:
         longest = 4000  # bits

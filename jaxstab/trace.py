@@ -39,11 +39,12 @@ from jaxstab.model import (
 )
 from jaxstab.model.filters import Filters, as_keywords, known_filters
 from jaxstab.model.plant import plant_pairs
-from jaxstab.numbers import checked, checked_number, require_x64
+from jaxstab.numbers import checked, checked_number, has_shape, require_x64
 from jaxstab.point.fields import UNKNOWN, poles_outside
 from jaxstab.region.closed_form import Responses, circle_equations
 from jaxstab.region.pieces import Branch
 from jaxstab.rounding import UNIT
+from jaxstab.shown import shortened
 
 # Planes of two quantities: how the five dimensionless parameters follow from them (Table I).
 #
@@ -562,6 +563,10 @@ def trace_boundary(
         [0.144, 0.062]
     """
     resolution = checked_number("resolution", resolution, 1e-3, 0.25, unit="of the window")
+    if not has_shape(plane, 2) or not all(isinstance(name, str) for name in plane):
+        raise TypeError(f'plane is {shortened(plane)}; give two names, as ("delay", "alpha").')
+    if not has_shape(window, 2, 2):
+        raise TypeError(f"window is {shortened(window)}; give both ends of both axes.")
     if loop is not None:
         body = loop.body
         if body is None:

@@ -485,3 +485,69 @@ def test_what_is_of_another_kind_is_refused_by_its_name(tmp_path: Path) -> None:
         strict=True,
     ):
         assert said.startswith(words)
+
+
+ODD_VALUES = """
+import numpy as np
+import jaxstab
+
+number = {"device_mass": 0.1, "device_damping": 1.5, "sample_time": 1e-3}
+loop, ragged, endless = jaxstab.HapticLoop(**number), [[1, 2], [3]], 10**40
+wall, five = (1000.0, 10.0), {"gamma": 0.0, "delta": 0.01, "delay": 0.0}
+device = jaxstab.Device.mass_spring_damper(0.25, damping=0.1)
+hertz, parts = np.linspace(1.0, 500.0, 50), {"base": [1, -2, 1], "first": [1, 0], "second": [1]}
+cases = [
+    ("sample_time", lambda x: jaxstab.HapticLoop(**number | {"sample_time": x}), None),
+    ("hand_mass", lambda x: jaxstab.HapticLoop(**number, hand_mass=x), None),
+    ("delay", lambda x: jaxstab.HapticLoop(**number, delay=x), None),
+    ("delays", lambda x: loop.verdict(*wall, delays=x), ragged),
+    ("delays", lambda x: loop.simulate(*wall, force=1.0, delays=x), "", 1j, {}, ragged),
+    ("between", lambda x: loop.range_of("delay", *wall, between=x), ragged),
+    ("between", lambda x: loop.simulate(*wall, force=1.0, between=x), endless),
+    ("samples", lambda x: loop.simulate(*wall, force=1.0, samples=x), endless),
+    ("horizon", lambda x: loop.settling_time(*wall, horizon=x), endless),
+    ("lost", lambda x: loop.verdict(*wall, delays=(0.0, 1e-3), lost=x), endless),
+    ("count", lambda x: loop.range_of("delay", *wall, count=x), endless),
+    ("quantity", lambda x: loop.range_of(x, *wall), np.ma.masked_array([1, 2], [0, 1])),
+    ("response", lambda x: jaxstab.Device.from_response(hertz, x), "", {}, endless, ragged),
+    ("samples", lambda x: loop.simulate(*wall, force=1.0, samples=x), np.int8(0)),
+    ("units", lambda x: jaxstab.Loop.from_coefficients(**parts, sample_time=1.0, units=x), ragged),
+    ("delays_samples", lambda x: jaxstab.coupling(
+        device, device, sample_time=1e-3, delays_samples=x), ragged),
+    ("damping", lambda x: jaxstab.contact_table(loop, 1000.0, x, push=1.0), ragged),
+    ("gamma", lambda x: jaxstab.closed_loop_poles(0.1, 0.2, **five | {"gamma": x}), ragged),
+    ("plane", lambda x: trace(x, ((0.0, 3.0), (0.0, 0.3))), None, 3, ragged, "ab"),
+    ("window", lambda x: trace(("delay", "alpha"), x), None, [], (0.0, 1.0), ragged),
+    ("gamma", lambda x: jaxstab.robust_region(**five | {"gamma": x}), ragged),
+    ("delay", lambda x: jaxstab.robust_region(
+        gamma=(0.0, 0.1), delta=(0.0, 0.01), delay=x), [0.0, 1.0]),
+]
+
+
+def trace(*axes):
+    return jaxstab.trace_boundary(*axes, beta=0.2, gamma=0.0, delta=0.015)
+
+
+for name, question, *values in cases:
+    for value in values:
+        try:
+            answer = question(value)
+        except (TypeError, ValueError) as error:
+            answer = str(error)
+        assert answer.startswith(name + " ") and answer.endswith("."), (name, value, answer)
+        assert chr(10) not in answer and len(answer) < 250, answer
+"""
+
+
+def test_odd_values_are_refused_by_the_name_of_the_argument(tmp_path: Path) -> None:
+    """In a process of its own, likewise: they ended in errors of others, or without an end."""
+    completed = run_code(ODD_VALUES, tmp_path)
+    assert completed.returncode == 0, completed.stderr
+
+
+def test_what_rounds_to_no_disturbance_and_no_gains_have_answers() -> None:
+    loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+    assert loop.amplitude(1000.0, 10.0, encoder=5e-324).position < 1e-300
+    assert loop.amplitude(1000.0, 10.0, encoder=1e-5, noise=[]).position.shape == (0,)
+    robot = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=2)
+    assert robot.poles(mass=[], damping=1.0).shape == (0, 3)

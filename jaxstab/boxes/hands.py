@@ -18,6 +18,7 @@ from jaxstab.boxes.search import paved
 from jaxstab.conventions import Range
 from jaxstab.model import Device, LoopParameters
 from jaxstab.numbers import two_ends
+from jaxstab.shown import shortened
 
 Members = Float64[np.ndarray, "member 5"]
 """Mass, stiffness and damping of hands; the device's mass in kg, and the delay in samples."""
@@ -55,7 +56,9 @@ def checked_range(hands: object, mass: Range | None = None, device: Device | Non
                 f"mass is {mass}; give the lowest mass of the device, > 0, and the highest one."
             )
     if not isinstance(hands, HandRange):
-        raise TypeError(f"hands is {hands!r}; give a jaxstab.HandRange, as HandRange(mass=(0, 1)).")
+        raise TypeError(
+            f"hands is {shortened(hands)}; give a jaxstab.HandRange, as HandRange(mass=(0, 1))."
+        )
     for name, ends in vars(hands).items():
         low, high = two_ends(f"hands.{name}", ends)
         if not 0.0 <= low <= high:

@@ -134,7 +134,7 @@ def robust_region(
         check(np.asarray(ends))
         if not ends[0] <= ends[1]:
             raise ValueError(f"{name} is {ends}; give the lower end first.")
-    checked_delay(delay)
+    delay = checked_number("delay", checked_delay(delay))
     checked_number("tolerance", tolerance, 1e-3, 0.5)
     sample = _Sample(gamma, delta, delay, filters)
     guess, is_proved = search(sample.polygon, sample.unproved, sample.add, [tolerance])

@@ -27,8 +27,9 @@ from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.model.filters import NO_FILTERS, known_filters
 from jaxstab.model.loop import refuse_arrays
 from jaxstab.motion.moving_delays import Delays
-from jaxstab.numbers import checked_count, require_kind, two_ends
+from jaxstab.numbers import checked_count, has_shape, require_kind, two_ends
 from jaxstab.region.closed_form import responses_at
+from jaxstab.shown import shortened
 
 # Proof that every wall which a guard lets through is stable (lemma B20).
 #
@@ -324,8 +325,10 @@ def _checked_jitter(
         low, high = two_ends(name, ends, 0.0)
         if not (low < high or (may_be_one and low == high)) or (name == "mass" and low == 0.0):
             raise ValueError(f"{name} is {ends}; give the lower end first, then a higher one.")
-    if np.shape(cells) != (3,):
-        raise TypeError(f"cells are {cells}; give three numbers: along mass, delay and damping.")
+    if not has_shape(cells, 3):
+        raise TypeError(
+            f"cells are {shortened(cells)}; give three numbers: along mass, delay and damping."
+        )
     for count in cells:
         if checked_count("cells", count, 1) & (count - 1):
             raise ValueError(f"cells are {cells}; give powers of two.")

@@ -56,6 +56,7 @@ from jaxstab.numbers import (
     checked_count,
     checked_number,
     checked_word,
+    has_shape,
     require_kind,
     require_together,
 )
@@ -223,10 +224,12 @@ class Loop(TwoGains):
         given: Any = gains
         names = tuple(map(str, given)) if isinstance(given, Sequence) else ()
         if not len(set(names)) == len(names) == 2 or not all(name.isidentifier() for name in names):
-            raise ValueError(f'gains is {gains!r}; give two different names such as ("kp", "kd").')
+            raise ValueError(
+                f'gains is {shortened(gains)}; give two different names such as ("kp", "kd").'
+            )
         period = checked_number("sample_time", sample_time, 0.0, is_open=True, unit="s")
-        if np.shape(units) != (2,):
-            raise ValueError(f'units is {units!r}; give two, such as ("N/m", "N s/m").')
+        if not has_shape(units, 2):
+            raise ValueError(f'units is {shortened(units)}; give two, such as ("N/m", "N s/m").')
         named_gains = Gain(gains[0], units[0]), Gain(gains[1], units[1])
         return cls(GivenParts(*checked), named_gains, period, "given polynomials")
 
@@ -815,8 +818,10 @@ def coupling(
     for name, device in (("first", first), ("second", second)):
         require_kind(name, device, Device)
     period = checked_number("sample_time", sample_time, 0.0, is_open=True, unit="s")
-    if np.shape(delays_samples) != (2,):
-        raise ValueError(f"delays_samples is {delays_samples}; give one delay for each device.")
+    if not has_shape(delays_samples, 2):
+        raise ValueError(
+            f"delays_samples is {shortened(delays_samples)}; give one delay for each device."
+        )
     delays = [
         checked_number("delays_samples", delay, 0.0, LONGEST_DELAY) for delay in delays_samples
     ]

@@ -126,7 +126,7 @@ class TwoGains:
         """
         pair = self._named(wall, gains)
         grid = self._few(pair)
-        if grid is not None:
+        if grid is not None and grid.size:
             every = grid.reshape(-1, 2).tolist()
             values = [exact.poles(self._triple, *own).values for own in every]
             if not np.any(np.isnan(values)):

@@ -25,7 +25,7 @@ from jaxstab.model.balls import ball_loop, ball_triple
 from jaxstab.model.device.sampling import late_cosines
 from jaxstab.model.plant import LONGEST_DELAY, wall_grid
 from jaxstab.motion.moving_delays import Delays, growing_turn
-from jaxstab.numbers import checked_number, two_ends
+from jaxstab.numbers import checked_number, real_numbers, two_ends
 from jaxstab.rounding import EPS
 from jaxstab.shown import exact_text, shortened
 
@@ -256,7 +256,7 @@ def each_wall(
 
 def turn_of(loop: LoopParameters, delays: Any) -> tuple[float, ...]:
     """Return delays in s, in turn, as samples of a loop; infinite for a sample that is lost."""
-    given = np.asarray(delays, np.float64)
+    given = real_numbers("delays", delays).astype(np.float64)
     if given.ndim != 1 or not given.size:
         raise TypeError(f"delays is {shortened(delays)}; give a sequence of delays in s.")
     finite = given[np.isfinite(given)]

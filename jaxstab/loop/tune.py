@@ -108,7 +108,9 @@ def optimal_wall(
     if encoder is not None:
         step = checked_number("encoder", encoder, 0.0, is_open=True, unit="m")
     elif chatter is not None:
-        raise TypeError(f"chatter is {chatter!r} without encoder; give its resolution in m.")
+        raise TypeError(
+            f"chatter is {shortened(chatter)} without encoder; give its resolution in m."
+        )
     if chatter is not None:
         limit = checked_number("chatter", chatter, 0.0, is_open=True, unit="m")
 
@@ -121,7 +123,8 @@ def optimal_wall(
 
     checked_word("goal", goal, ("radius", "settling"))
     level = checked_level(level, excitation)
-    alpha = None if stiffness is None else loop.alpha(checked_number("stiffness", stiffness, 0.0))
+    given = None if stiffness is None else checked_number("stiffness", stiffness, 0.0)
+    alpha = None if given is None else loop.alpha(given)
     plain = loop.in_floats()
     tuned, best = _of_smallest_radius(plain, alpha)
     wall, status = best.wall, best.status
@@ -149,8 +152,7 @@ def optimal_wall(
         reached = float(moved(*wall)) if np.isfinite(wall[0]) else np.nan
     if np.isnan(wall[0]):
         return OptimalWall(np.nan, np.nan, np.nan, np.inf, np.inf, status)
-    given = loop.stiffness(wall[0]) if stiffness is None else float(stiffness)
-    gains = given, loop.damping(wall[1])
+    gains = loop.stiffness(wall[0]) if given is None else given, loop.damping(wall[1])
     radius = loop.spectral_radius(*gains)
     settling = np.nan  # of a velocity that is measured, the radius alone is known
     if loop.velocity is None or behind_measured(loop.velocity) is None:

@@ -70,7 +70,8 @@ class LoopParameters:
             if _is_array(value):
                 checker = checked
                 require_x64(value)
-            if not (value is None or is_traced(value)):
+            is_left_out = value is None and name in _MECHANICS[:2]  # beside a device
+            if not (is_left_out or is_traced(value)):
                 is_open = name in ("device_mass", "sample_time")
                 number = checker(name, value, 0.0, is_open=is_open)
                 value = value if is_jax(value) else number

@@ -162,9 +162,9 @@ def _answered(
     if not any(is_traced(size) or np.any(size) for size in sizes):
         raise ValueError(f"{', '.join(given)} are all 0; give what disturbs the loop.")
     resolution, step, rubbing, extra = sizes
+    encoder, force, friction, noise = (is_traced(x) or bool(np.any(x)) for x in sizes)
+    causes = encoder or noise, force, friction  # that are present
     sizes = [0.5 * resolution + extra, 0.5 * step, rubbing]
-    position, force, friction = (is_traced(x) or bool(np.any(x)) for x in sizes)
-    causes = position, force, friction  # that are present
 
     def ask(loop: LoopParameters, stiffness: float, damping: float) -> np.ndarray:
         return _bounds(loop, stiffness, damping, causes).ravel()

@@ -262,7 +262,7 @@ def simulate(
     starts = {"initial_velocity": initial_velocity, "initial_position": initial_position}
     require_together(stiffness=stiffness, damping=damping, force=force, **starts)
     checked_count("samples", samples, 1)
-    checked_count("between", between, 0)
+    checked_count("between", between, 0, 10**8 // samples - 1)
     loop = loop.in_floats()
     period = loop.sample_time
     values = float_arrays(

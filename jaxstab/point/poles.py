@@ -72,7 +72,7 @@ def evaluate_grid(
     """
     given = by_name(alpha, beta, gamma, delta, delay)
     shape = require_together(**given)
-    checked_count("chunk", chunk, 1)
+    checked_count("chunk", chunk, 1, 10**12)
     arguments = [real_numbers(name, value).astype(np.float64) for name, value in given.items()]
     total = math.prod(shape)
 
@@ -126,7 +126,7 @@ def closed_loop_poles(
         0.98712203...
     """
     point = by_name(alpha, beta, gamma, delta, delay)
-    require_together(**point)
+    shape = require_together(**point)
 
     polynomial = partial(characteristic_polynomial, velocity=velocity, position=position)
     if is_any_traced(*point.values(), velocity, position):
@@ -142,7 +142,6 @@ def closed_loop_poles(
             found[own, :rest] = companion_poles(given[own, : rest + 1])
         return found
 
-    shape = np.broadcast_shapes(*map(np.shape, point.values()))
     rows = [part for _, part in evaluate_grid(poles, **point, chunk=CHUNK)]
     longest = max((row.shape[1] for row in rows), default=polynomial_degree(delay))
     rows = [np.pad(row, [(0, 0), (0, longest - row.shape[1])]) for row in rows]

@@ -9,7 +9,7 @@ A table of contacts has a dimension for each list of numbers; ``jaxstab.scene.la
 ``jaxstab.contact_map`` over their grid, block by block.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from math import inf, isfinite, isnan
@@ -266,7 +266,7 @@ def plan_contacts(
     lists = {
         name: checked(name, value)
         for name, value in given.items()
-        if name in _AXES and np.ndim(value)
+        if name in _AXES and (isinstance(value, Sequence) or np.ndim(value))
     }
     if not lists:
         raise ValueError("no argument is a list, so there is nothing to map; use loop.contact.")

@@ -43,7 +43,7 @@ from jaxstab.batches import alike
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gain, HapticLoop, Loop, limits_of
 from jaxstab.motion.settling import SettlingStatus
-from jaxstab.numbers import checked, checked_count, checked_number
+from jaxstab.numbers import checked, checked_count, checked_number, has_shape
 from jaxstab.region import RegionStatus
 from jaxstab.scene.answers import delay_notes
 from jaxstab.scene.gains import KEYS, GainScene, any_scene
@@ -612,7 +612,7 @@ def _checked_walls(walls: Mapping[str, tuple[float, float]]) -> dict[str, tuple[
     if not isinstance(walls, Mapping):
         raise TypeError(f"walls is {shortened(walls)}; give (K, B) by the name of each wall.")
     for name, wall in walls.items():
-        if np.shape(wall) != (2,):
+        if not has_shape(wall, 2):
             raise TypeError(f"wall {name} is {shortened(wall)}; give its K and B.")
     return {
         checked_label(name): (

@@ -56,6 +56,7 @@ from jaxstab.model.device.parts import (
     working_precision,
 )
 from jaxstab.numbers import checked_number, checked_word, require_kind
+from jaxstab.shown import shortened
 
 
 def _sides_of(system: Any) -> list[Any]:
@@ -69,8 +70,8 @@ def _sides_of(system: Any) -> list[Any]:
         system = system.to_tf()
     if not (hasattr(system, "num") and hasattr(system, "den")):
         raise TypeError(
-            f"system is {system!r}; give a TransferFunction or StateSpace of python-control or "
-            "scipy.signal."
+            f"system is {shortened(system)}; give a TransferFunction or StateSpace of "
+            "python-control or scipy.signal."
         )
     sides = [system.num, system.den]
     if isinstance(system.num, list):  # python-control: a row of lists for each output
@@ -259,7 +260,8 @@ class Device:
         given: Any = modes
         for mode in given if isinstance(given, Sequence) else [given]:
             if not isinstance(mode, Mode):
-                raise TypeError(f"modes has {mode!r}; give jaxstab.Mode(...) for each mode.")
+                words = f"modes has {shortened(mode)}; give jaxstab.Mode(...) for each mode."
+                raise TypeError(words)
         if mass is None and not modes:
             raise ValueError("modes is empty and mass is None; give at least one of them.")
         if mass is not None:

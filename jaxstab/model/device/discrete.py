@@ -25,6 +25,7 @@ import numpy as np
 
 from jaxstab.model.device.parts import HIGHEST_ORDER, Part, Ports, exact, flint, polynomial
 from jaxstab.numbers import checked, checked_number, require_unmasked
+from jaxstab.shown import shortened
 from jaxstab.tables import columns_of
 
 if TYPE_CHECKING:
@@ -282,7 +283,12 @@ def checked_response(frequency: Any, response: Any, error: Any) -> MeasuredRespo
         error = read if error is None else error
     frequencies = np.ravel(checked("frequency", frequency, 0.0, is_open=True, unit="Hz"))
     require_unmasked("response", response)
-    values = np.ravel(np.asarray(response, np.complex128))
+    try:
+        values = np.ravel(response)
+    except ValueError:  # rows of different lengths
+        values = np.array([None])
+    if values.dtype.kind not in "iufc":
+        raise TypeError(f"response is {shortened(response)}; give complex numbers in m/N.")
     checked("response", np.stack([values.real, values.imag]))
     errors = np.ravel(checked("error", 0.0 if error is None else error, 0.0, 1.0))
     if len(values) != len(frequencies) or len(errors) not in (1, len(values)):
