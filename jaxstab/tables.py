@@ -252,7 +252,7 @@ _INSTEAD = {
 
 def check_keys(place: str, keys: Iterable[str], allowed: list[str]) -> None:
     """Refuse a key that is not allowed; say what to give, or suggest the most similar one."""
-    for name in keys:
+    for name in map(str, keys):
         if name not in allowed:
             near = _similar(name, allowed)
             hint = f"did you mean {near!r}?" if near else f"known are {', '.join(allowed)}."

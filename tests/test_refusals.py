@@ -495,6 +495,8 @@ number = {"device_mass": 0.1, "device_damping": 1.5, "sample_time": 1e-3}
 loop, ragged, endless = jaxstab.HapticLoop(**number), [[1, 2], [3]], 10**40
 wall, five = (1000.0, 10.0), {"gamma": 0.0, "delta": 0.01, "delay": 0.0}
 device = jaxstab.Device.mass_spring_damper(0.25, damping=0.1)
+scene = {"device": {"mass": 0.1, "damping": 0.1}, "controller": {"sample_time": 1e-3}}
+mass = {"device.mass": [0.1, 0.2]}
 hertz, parts = np.linspace(1.0, 500.0, 50), {"base": [1, -2, 1], "first": [1, 0], "second": [1]}
 cases = [
     ("sample_time", lambda x: jaxstab.HapticLoop(**number | {"sample_time": x}), None),
@@ -516,6 +518,13 @@ cases = [
         device, device, sample_time=1e-3, delays_samples=x), ragged),
     ("damping", lambda x: jaxstab.contact_table(loop, 1000.0, x, push=1.0), ragged),
     ("gamma", lambda x: jaxstab.closed_loop_poles(0.1, 0.2, **five | {"gamma": x}), ragged),
+    ("over", lambda x: jaxstab.study(loop, x), 3, None, {3: [1.0]}),
+    ("delay", lambda x: jaxstab.study(loop, {"delay": x}), ragged, [endless**20]),
+    ("walls", lambda x: jaxstab.study(scene | {"walls": x}, mass), 3),
+    ("walls.a", lambda x: jaxstab.study(scene | {"walls": {"a": x}}, mass), 3),
+    ("walls.a.stiffness", lambda x: jaxstab.study(scene | {"walls": {"a": x}}, mass), {}),
+    ("controller.delay", lambda x: jaxstab.study(
+        scene | {"controller": x}, {"controller.delay": [0.0, 1e-3]}), 3),
     ("plane", lambda x: trace(x, ((0.0, 3.0), (0.0, 0.3))), None, 3, ragged, "ab"),
     ("window", lambda x: trace(("delay", "alpha"), x), None, [], (0.0, 1.0), ragged),
     ("gamma", lambda x: jaxstab.robust_region(**five | {"gamma": x}), ragged),

@@ -50,6 +50,7 @@ from jaxstab.scene.gains import KEYS, GainScene, any_scene
 from jaxstab.scene.labelled import Variable, computed, read, table_of, xarray_module
 from jaxstab.scene.loops import loop_of
 from jaxstab.scene.scene import INNER, TABLES, Scene, Units
+from jaxstab.scene.scene import walls_in as checked_walls
 from jaxstab.shown import shortened
 from jaxstab.tables import (
     Interval,
@@ -305,6 +306,9 @@ def plan_study(
 
     Arguments and errors as ``study``.
     """
+    varied: Any = over
+    if not isinstance(varied, Mapping) or not all(isinstance(key, str) for key in varied):
+        raise TypeError(f"over is {shortened(over)}; give lists of values by the keys that vary.")
     if not over:
         raise ValueError("over is empty; give at least one key that varies.")
     source = _Source(_table_of(of))
@@ -421,7 +425,7 @@ def values_of(key: str, given: Any) -> Any:
     given = distribution_of(given) or listed(key, given) if isinstance(given, str) else given
     if is_distribution(given):
         return given
-    if not np.ndim(given):
+    if not (isinstance(given, Sequence) or np.ndim(given)):
         raise ValueError(
             f"{key} is {shortened(given)}; give a list of values, (low, high, count), or a "
             "distribution such as scipy.stats.norm(300.0, 100.0)."
@@ -433,7 +437,9 @@ def values_of(key: str, given: Any) -> Any:
         return values
     try:
         numbers = np.array(values, np.float64)
-    except (TypeError, ValueError):
+        if numbers.ndim > 1:
+            raise TypeError
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(
             f"{key} is {shortened(values)}; give numbers, or texts, not both."
         ) from None
@@ -698,11 +704,11 @@ class _Source:
 
     @property
     def walls(self) -> dict[str, tuple[float, float]]:
-        """The walls of the scene; they are checked with it."""
+        """The walls of the scene."""
         if self.of_gains:
             return {name: (*pair.values(),) for name, pair in self.of_gains.pairs.items()}  # type: ignore[misc]
-        walls = {} if self.is_loop else self.table.get("walls", {})
-        return {name: (wall["stiffness"], wall["damping"]) for name, wall in walls.items()}
+        walls = checked_walls({} if self.is_loop else self.table.get("walls", {}))
+        return {name: (wall.stiffness, wall.damping) for name, wall in walls.items()}
 
     @property
     def ranges(self) -> dict[str, str]:
@@ -741,9 +747,10 @@ class _Source:
     def _scene(self, values: Mapping[str, Any]) -> Scene | GainScene:
         table: Any = self.table
         if any(key.startswith("controller.delay") for key in values):  # in place of either unit
-            own = table.get("controller", {}).items()
-            others = {k: v for k, v in own if not k.startswith("delay") and k != "lost_samples"}
-            table = {**table, "controller": others}
+            own = table.get("controller", {})
+            if isinstance(own, Mapping):  # the scene refuses all else
+                kept = {k for k in own if not k.startswith("delay") and k != "lost_samples"}
+                table = {**table, "controller": {k: own[k] for k in kept}}
         for key, value in values.items():
             is_whole = isinstance(value, float) and value.is_integer()  # as a window in samples
             table = with_value(table, key, int(value) if is_whole else value, key.split("."))
