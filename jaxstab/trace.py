@@ -317,79 +317,56 @@ def halved(maps: Monomials, edges: Edges, filters: Filters | None) -> Edges:
 # Unknown are the share s of the edge and theta / pi. Where a pair crosses, two equations hold
 # (``circle_equations``); where a real root does, Re g = 0 and theta = 0 or pi. Each edge is a lane
 # of a program that is compiled once: the plane, its window and the fixed quantities are arguments.
+# Two more steps, with plants of full accuracy, are NumPy's.
 
 _CONVERGED = 1e-9  # of an edge, and of pi
 _BEYOND = 0.01  # of an edge: how far the larger circle may move a bracket
 
 
-def _values(
-    parameters: Array,
-    turn: Array,
-    branch: Array,
-    filters: Responses,
-    plant: PlantCoefficients | None = None,
-) -> Array:
-    """Return the two equations of a branch, of the five parameters and theta / pi: (2, ...)."""
-    alpha, beta, *hand = parameters
-    xp = namespace(alpha)
+def _newton(
+    u: Array, ends: Array, branch: Array, maps: Monomials, filters: Responses, *, is_exact: bool
+) -> tuple[Array, Array]:
+    """Return u = (s, theta / pi) of edges (2, edge) after a step, and the equations before it."""
+    difference = 2.0**-25  # of an edge, and of pi: derivatives are then good to about 1e-7
+    xp, shifts = namespace(u), difference * np.eye(2, 3, 1)
+    share, turn = xp.tile(u, 3) + np.repeat(shifts, u.shape[1], axis=1)
+    ends, branch = xp.tile(ends, (3, 1, 1)), xp.tile(branch, 3)
+    maps = maps._replace(factor=xp.tile(maps.factor.reshape(5, -1), 3))
+    position = ends[:, 0] + share[:, None] * (ends[:, 1] - ends[:, 0])
+    alpha, beta, *others = maps.parameters(position)
+    gamma, delta, delay = hand = [xp.maximum(x, 0.0) for x in others]
+    plant = None
+    if is_exact:
+        pairs = plant_pairs(gamma, delta, delay - np.floor(delay))
+        plant = PlantCoefficients(*(pair.rounded() for pair in pairs))
     is_pair, end = branch == Branch.CURVE, 1.0 * (branch == Branch.Z_MINUS_ONE)
     theta = pi * xp.where(is_pair, turn, end)
     real, imaginary = circle_equations(hand, alpha, beta, theta, filters, plant)
-    return xp.stack([real, xp.where(is_pair, imaginary, turn - end)])
+    equations = xp.stack([real, xp.where(is_pair, imaginary, turn - end)])
+    value, *beside = xp.split(equations, 3, axis=1)
+    (a, c), (b, d) = ((moved - value) / difference for moved in beside)
+    steps = xp.stack([d * value[0] - b * value[1], a * value[1] - c * value[0]])
+    return u - steps / (a * d - b * c), value
 
 
 @cache
-def _corrector() -> Callable[..., tuple[Array, Array, Array]]:
+def _corrector() -> Callable[..., tuple[Array, Array]]:
     """Return the compiled program that solves for the point on the edge of each lane."""
-    difference = 2.0**-25  # of the same: derivatives are then good to about 1e-7
     import jax
-    import jax.numpy as jnp
-    import lineax
     import optimistix
 
-    newton: Any = optimistix.Newton(rtol=0.0, atol=_CONVERGED)
-    shift = difference * np.eye(3, 2, -1)
+    solver: Any = optimistix.FixedPointIteration(rtol=0.0, atol=_CONVERGED)
 
-    def correct(
-        start: Array, ends: Array, branch: Array, maps: Monomials, filters: Responses
-    ) -> tuple[Array, Array, Array]:
-        def residual(u: Array, _: None) -> tuple[Array, Array]:
-            here = jax.lax.stop_gradient(u)
-            share, turn = (here + shift).T
-            here_and_beside = ends[0] + share[:, None] * (ends[1] - ends[0])
-            value = _values(maps.parameters(here_and_beside), turn, branch, filters)
-            rows = (value[:, 1:] - value[:, :1]) / difference
-            # The derivatives are at hand: solved for, the equations have those of u itself.
-            return (u - here) + jnp.stack(_solution(rows, value[:, 0])), rows
+    def correct(start: Array, ends: Array, branch: Array, *plane: Any) -> tuple[Array, Array]:
+        def step(u: Array, _: None) -> Array:
+            return _newton(u[:, None], ends[None], branch, *plane, is_exact=False)[0][:, 0]
 
-        solution: Any = optimistix.root_find(
-            residual,
-            newton,
-            start,
-            has_aux=True,
-            max_steps=16,
-            throw=False,
-            tags=frozenset({lineax.diagonal_tag}),
-        )
-        return solution.value, solution.aux, solution.result == optimistix.RESULTS.successful
+        solution: Any = optimistix.fixed_point(step, solver, start, max_steps=16, throw=False)
+        return solution.value, solution.result == optimistix.RESULTS.successful
 
     # What is not of each lane is of the plane.
     of_lane: Any = 0, 0, 0, Monomials(1, None, None, None), None
-    program = jax.jit(jax.vmap(correct, in_axes=of_lane))
-
-    def solved(*arguments: Any) -> tuple[Array, Array, Array]:
-        with own_settings():
-            answer: tuple[Array, Array, Array] = jax.device_get(program(*arguments))
-        return answer
-
-    return solved
-
-
-def _solution(rows: Array, value: Array) -> tuple[Array, Array]:
-    """Solve two linear equations, by Cramer's rule."""
-    (a, b), (c, d) = rows
-    determinant = a * d - b * c
-    return (d * value[0] - b * value[1]) / determinant, (a * value[1] - c * value[0]) / determinant
+    return jax.jit(jax.vmap(correct, in_axes=of_lane))
 
 
 def solved(
@@ -403,22 +380,18 @@ def solved(
     parts = []
     for chunk, filled in lists(np.arange(len(start)), lanes_at_once):
         lanes = start[filled], edges.ends[filled], edges.branch[filled], maps.select(filled)
-        parts.append([column[: chunk.size] for column in _corrector()(*lanes, responses)])
-    u, rows, is_solved = map(np.concatenate, zip(*parts, strict=True))
+        with own_settings():
+            answer = _corrector()(*lanes, responses)
+        parts.append([np.asarray(column)[: chunk.size] for column in answer])
+    u, is_solved = map(np.concatenate, zip(*parts, strict=True))
     farthest = np.ptp(edges.shares, axis=1) + _BEYOND
     is_solved &= np.abs(u[:, 0] - start[:, 0]) <= farthest
     is_solved &= np.abs(u[:, 1] - 0.5) <= 0.5 + _CONVERGED
-    u = np.where(is_solved[:, None], u, start)
-    for _ in range(3):  # with plants of full accuracy; the last step is less than rounding
-        parameters = maps.parameters(edges.at(u[:, 0]))
-        parameters[2:] = np.maximum(parameters[2:], 0.0)
-        gamma, delta, delay = parameters[2:]
-        pairs = plant_pairs(gamma, delta, delay - np.floor(delay))
-        plant = PlantCoefficients(*(pair.rounded() for pair in pairs))
-        value = _values(parameters, u[:, 1], edges.branch, responses, plant)
-        step = np.stack(_solution(np.moveaxis(rows, 0, -1), value), axis=1)
-        u = np.where(is_solved[:, None], u - step, u)
-    return u, np.linalg.norm(value, axis=0), is_solved
+    u = np.where(is_solved[:, None], u, start).T
+    for _ in range(2):
+        following, value = _newton(u, edges.ends, edges.branch, maps, responses, is_exact=True)
+        u = np.where(is_solved, following, u)
+    return u.T, np.linalg.norm(value, axis=0), is_solved
 
 
 def _starts(maps: Monomials, edges: Edges, filters: Filters | None) -> Points:

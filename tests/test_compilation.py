@@ -132,7 +132,7 @@ def test_the_exceptions_are_names_of_functions_that_compute() -> None:
 PROGRAMS = {
     "spectral_radius": (7, 0),
     "boundary_curve": (0, 0),
-    "trace_boundary": (7, 0),  # one of ours; constants of optimistix and lineax, while they trace
+    "trace_boundary": (7, 0),  # one of ours; constants of optimistix, while it traces
     "verdict": (3, 0),
     "verdict of a grid": (3, 0),
     "verdict of hands": (4, 0),
