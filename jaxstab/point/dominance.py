@@ -33,7 +33,7 @@ from jaxstab.arrays import (
 from jaxstab.batches import compiled, filled_up, in_pieces, is_on_cpu, lists, over_tiles
 from jaxstab.model import polynomial_degree
 from jaxstab.model.double_double import size_sum
-from jaxstab.point.poles import Complex, looked_up
+from jaxstab.point.poles import Complex, Value, looked_up
 from jaxstab.point.schur_cohn import (
     HIGHEST_COUNTED,
     UNDERFLOW,
@@ -174,55 +174,42 @@ def _in_long_steps(
     ends = [n0 * wall0, n0 * wall1 + n1 * wall0, n1 * wall1, low, middle]
     ends = [column * (1.0 / high) for column in ends]
     w = Complex(*guessed([*ends[:3], *[None] * (steps - 3), *ends[3:]]))  # less 1
-    below = w.shifted(1.0 + pole)
-    inverse = scale * reciprocal(below.squared_modulus())
-    return w.times(Complex(below.re, -below.im)).scaled(inverse)
+    return (w * scale).over(w + (1.0 + pole))
 
 
 def newton(t: Complex, loop: Loop, degree: int) -> Complex:
     """Return t after a step of Newton's method towards a root of p(1 + t)."""
     value, slope = evaluated(t, loop, degree)
-    inverse = reciprocal(slope.squared_modulus())
-    correction = value.times(Complex(slope.re, -slope.im)).scaled(-inverse)
-    return t.plus(correction)
+    inverse = reciprocal(slope.squared_modulus())  # ``over`` would take XLA minutes to compile
+    return t + value * Complex(slope.re, -slope.im) * -inverse
 
 
 def evaluated(t: Complex, loop: Loop, degree: int) -> tuple[Complex, Complex]:
     """Return p and its derivative at z = 1 + t."""
-    z = t.shifted(1.0)
-    linear, constant = loop.denominator
-    denominator = t.shifted(linear).times(t).shifted(constant)
-    wall = z.scaled(loop.alpha).plus(t.scaled(loop.beta))
-    numerator, numerator_slope = _numerator(t, loop.numerator)
-    below = _to_power(z, degree - 3)  # z^(n-3)
-    delayed = z.times(denominator)
-    delayed_slope = denominator.scaled(degree - 2.0).plus(
-        z.times(Complex(2.0 * t.re + linear, 2.0 * t.im))
-    )
-    if below is not None:
-        delayed, delayed_slope = below.times(delayed), below.times(delayed_slope)
-    slope = delayed_slope.plus(numerator.scaled(loop.alpha + loop.beta))
-    return delayed.plus(numerator.times(wall)), slope.plus(numerator_slope.times(wall))
+    gains = loop.alpha, loop.beta
+    return _evaluated(t, t + 1.0, gains, loop.numerator, loop.denominator, degree)
 
 
-def _numerator(t: Complex, coefficients: tuple[Array, ...]) -> tuple[Complex, Complex]:
-    if len(coefficients) == 2:
-        slope, value = coefficients
-        return t.scaled(slope).shifted(value), Complex(slope, 0.0 * slope)
-    second, first, value = coefficients
-    inner = t.scaled(second).shifted(first)
-    return inner.times(t).shifted(value), t.scaled(2.0 * second).shifted(first)
-
-
-def _to_power(z: Complex, exponent: int) -> Complex | None:
-    """Return z^exponent by repeated squaring, None for 1."""
-    result = None
-    while exponent:
-        if exponent % 2:
-            result = z if result is None else result.times(z)
-        exponent //= 2
-        z = z.times(z)
-    return result
+def _evaluated(
+    t: Value,
+    z: Value,
+    gains: tuple[Array, Array],
+    numerator: tuple[Array, ...],
+    denominator: tuple[Array, Array],
+    degree: int,
+) -> tuple[Value, Value]:
+    """Return the same of complex t and z, or its terms' sizes from those of all that is given."""
+    (alpha, beta), (linear, constant) = gains, denominator
+    own, wall = (t + linear) * t + constant, z * alpha + t * beta
+    first, *inner, last = numerator
+    n, n_slope = t * first + last, first
+    if inner:
+        n, n_slope = (t * first + inner[0]) * t + last, t * (2.0 * first) + inner[0]
+    delayed, slope = z * own, own * (degree - 2.0) + z * (t * 2.0 + linear)
+    if degree > 3:
+        below = z ** (degree - 3)
+        delayed, slope = below * delayed, below * slope
+    return delayed + n * wall, slope + n * (alpha + beta) + wall * n_slope
 
 
 _SLACK = 1.0 + 1e-6  # the bounds themselves are rounded
@@ -320,7 +307,7 @@ def with_distance(
     is_proved = (
         zeros_outside(*_circle(within, rounding, loop, degree), UNIT, degree) == 2.0 - is_real
     )
-    step = t.plus(last.t.scaled(-1.0)).squared_modulus()
+    step = (t + last.t * -1.0).squared_modulus()
     # How far the circle is inside of |1 + t| is known to 64 ulp of the root's size.
     apart = xp.minimum(
         own.beyond - within - 64.0 * UNIT * own.size, xp.where(is_real, xp.inf, t.im)
@@ -340,7 +327,7 @@ class _Moduli(NamedTuple):
 
 def _moduli(t: Complex) -> _Moduli:
     xp, squared = namespace(t), t.squared_modulus()
-    radius = xp.sqrt(t.shifted(1.0).squared_modulus())
+    radius = xp.sqrt((t + 1.0).squared_modulus())
     return _Moduli(t, xp.sqrt(squared), radius, (2.0 * t.re + squared) / (radius + 1.0))
 
 
@@ -356,23 +343,11 @@ def _distance_to_root(
     value, slope = evaluated(t, loop, degree)
     plant_error = loop.plant.error / UNIT
     linear, constant = loop.denominator
-    linear = linear + plant_error
-    denominator = (size + linear) * size + constant
-    first, *inner, last = (abs(c) + plant_error * loop.plant.size for c in loop.numerator)
-    numerator, numerator_slope = first * size + last, first
-    if inner:
-        numerator = (first * size + inner[0]) * size + last
-        numerator_slope = 2.0 * first * size + inner[0]
-    stiffness, damping = abs(loop.alpha), abs(loop.beta)
-    wall = stiffness * radius + damping * size
-    below = radius ** (degree - 3)
-    slope_terms = (
-        below * ((degree - 2.0) * denominator + radius * (2.0 * size + linear))
-        + numerator * (stiffness + damping)
-        + numerator_slope * wall
-    )
+    numerator = tuple(abs(c) + plant_error * loop.plant.size for c in loop.numerator)
+    gains, denominator = (abs(loop.alpha), abs(loop.beta)), (linear + plant_error, constant)
+    terms, slope_terms = _evaluated(size, radius, gains, numerator, denominator, degree)
     unit = (4.0 * (degree - 2) + 30.0) * UNIT
-    rounding = unit * (below * radius * denominator + numerator * wall) + lost_in_squares
+    rounding = unit * terms + lost_in_squares
     value_size = xp.sqrt(value.squared_modulus()) + rounding
     slope_size = xp.sqrt(slope.squared_modulus()) - unit * slope_terms
     distance = (_SLACK * degree) * value_size / slope_size

@@ -148,12 +148,12 @@ def _pole(columns: list[Array], error: Array, *, is_guessed: bool) -> Array:
         from jaxstab.point.traced_radius import guessed_root
 
         is_unrolled = len(columns) - 1 <= _LONGEST
-        z = Complex(*guessed_root(columns[:0:-1], doublings, is_unrolled=is_unrolled)).shifted(1.0)
+        z = Complex(*guessed_root(columns[:0:-1], doublings, is_unrolled=is_unrolled)) + 1.0
     else:
         root = companion_poles(xp.stack(columns, axis=-1))[..., 0]
         z = Complex(root.real, abs(root.imag))
     value, slope = evaluated(columns, z)  # a step of Newton's method
-    z = z.plus(value.over(slope).scaled(-1.0))
+    z = z + value.over(slope) * -1.0
     return z.re + 1j * z.im
 
 

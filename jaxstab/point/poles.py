@@ -5,8 +5,9 @@ They serve unproved answers (mode shapes, frequencies) and starting values for p
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Complex128, Float64, Int64
@@ -198,46 +199,54 @@ def _unit(coefficients: Float64[Array, "*grid coefficient"]) -> Float64[Array, "
 _LEAST = 1e-130  # more than the error of a modulus whose square was flushed to zero
 
 
-class Complex(NamedTuple):
+@dataclass(frozen=True)
+class Complex:
     """Real and imaginary part: XLA fuses them better than complex numbers."""
 
     re: Array
     im: Array
 
-    def times(self, other: "Complex") -> "Complex":
-        """Return the product with another number."""
-        return Complex(
-            self.re * other.re - self.im * other.im, self.re * other.im + self.im * other.re
-        )
+    def __add__(self, other: "Complex | Array | float") -> "Complex":
+        if isinstance(other, Complex):
+            return Complex(self.re + other.re, self.im + other.im)
+        return Complex(self.re + other, self.im)
 
-    def scaled(self, factor: Array | float) -> "Complex":
-        """Return the product with a real number."""
-        return Complex(self.re * factor, self.im * factor)
+    def __mul__(self, other: "Complex | Array | float") -> "Complex":
+        if isinstance(other, Complex):
+            real = self.re * other.re - self.im * other.im
+            return Complex(real, self.re * other.im + self.im * other.re)
+        return Complex(self.re * other, self.im * other)
 
-    def plus(self, other: "Complex") -> "Complex":
-        """Return the sum with another number."""
-        return Complex(self.re + other.re, self.im + other.im)
+    def __pow__(self, exponent: int) -> "Complex":
+        power, square = None, self
+        while exponent:
+            if exponent % 2:
+                power = square if power is None else power * square
+            exponent //= 2
+            square = square * square
+        assert power is not None
+        return power
 
     def over(self, other: "Complex") -> "Complex":
         """Return the quotient by another number, to eight digits in JAX."""
         conjugate = Complex(other.re, -other.im)
-        return self.times(conjugate).scaled(reciprocal(other.squared_modulus()))
-
-    def shifted(self, by: Array | float) -> "Complex":
-        """Return the sum with a real number."""
-        return Complex(self.re + by, self.im)
+        return self * conjugate * reciprocal(other.squared_modulus())
 
     def squared_modulus(self) -> Array:
         """Return re^2 + im^2."""
         return self.re * self.re + self.im * self.im
 
 
-def evaluated(columns: list[Array], z: Complex) -> tuple[Complex, Complex]:
+Value = TypeVar("Value", Complex, Array)
+
+
+def evaluated(columns: list[Array], z: Value) -> tuple[Value, Value]:
     """Return p(z) and its derivative; the coefficients are given with the highest power first."""
-    value, slope = Complex(columns[0], 0.0 * z.im), Complex(0.0 * z.re, 0.0 * z.im)
+    slope = z * 0.0
+    value = slope + columns[0]
     for column in columns[1:]:
-        slope = slope.times(z).plus(value)
-        value = value.times(z).shifted(column)
+        slope = slope * z + value
+        value = value * z + column
     return value, slope
 
 
@@ -249,8 +258,8 @@ def distance_to_root(columns: list[Array], error: Array, z: Complex) -> Array:
     xp, degree = namespace(columns, error), len(columns) - 1
     radius = xp.sqrt(z.squared_modulus())
     value, slope = evaluated(columns, z)
-    sizes, slopes = evaluated([abs(column) for column in columns], Complex(radius, 0.0 * radius))
+    size, slope_size = evaluated([abs(column) for column in columns], radius)
     unit, most = (4.0 * degree + 10.0) * UNIT, error * xp.maximum(radius, 1.0) ** degree
-    nearest = xp.sqrt(value.squared_modulus()) + unit * sizes.re + most + _LEAST
-    steep = xp.sqrt(slope.squared_modulus()) - unit * slopes.re - degree * most
+    nearest = xp.sqrt(value.squared_modulus()) + unit * size + most + _LEAST
+    steep = xp.sqrt(slope.squared_modulus()) - unit * slope_size - degree * most
     return xp.where(steep > 0.0, SAFETY * degree * nearest / steep, xp.inf)
