@@ -99,22 +99,12 @@ class Summary(NamedTuple):
     limited_since: Array
     energy: Array
 
+    def with_position(self, x: Array, work: Array, xp: Any) -> "Summary":
+        """Note a position that may be an extreme, and what the wall's force did on the way."""
+        low, high = xp.minimum(self.low, x), xp.maximum(self.high, x)
+        return self._replace(low=low, high=high, energy=self.energy + work)
 
-class Seen(NamedTuple):
-    """The record between two samples: extremes and maxima of the position, the wall's work."""
-
-    low: Array
-    high: Array
-    maxima: Array
-    first_maximum: Array
-    last_maximum: Array
-    energy: Array
-
-    def with_position(self, x: Array, xp: Any) -> "Seen":
-        """Note a position that may be an extreme."""
-        return self._replace(low=xp.minimum(self.low, x), high=xp.maximum(self.high, x))
-
-    def with_maximum(self, is_maximum: Array, time: Array, xp: Any) -> "Seen":
+    def with_maximum(self, is_maximum: Array, time: Array, xp: Any) -> "Summary":
         """Note at what time a maximum was, where there was one."""
         last = xp.where(is_maximum, time, self.last_maximum)
         earliest = xp.where(is_maximum & (self.maxima == 0.0), last, self.first_maximum)
@@ -175,8 +165,8 @@ class Plant(NamedTuple):
         return position, velocity
 
     def moved(
-        self, runs: Runs, state: tuple[Array, ...], seen: Seen, forces: Any, sample: Any
-    ) -> tuple[tuple[Array, ...], Seen]:
+        self, runs: Runs, state: tuple[Array, ...], seen: Summary, forces: Any, sample: Any
+    ) -> tuple[tuple[Array, ...], Summary]:
         """Return position and velocity at the next sample: two legs for each piece."""
         (x, v), xp, begin = state, functions(runs.alpha), sample
         turn = sample % len(self.ages)
@@ -197,10 +187,10 @@ class Plant(NamedTuple):
                 back = remaining * remaining * (b * series_at(self.step, remaining))
                 way = xp.where(turns, there + back, way)
                 speed = xp.where(turns, remaining * (b * series_at(self.impulse, remaining)), speed)
-                seen = seen.with_position(xp.where(turns, x + there, x), xp)
+                seen = seen.with_position(xp.where(turns, x + there, x), 0.0, xp)
                 seen = seen.with_maximum(turns & (sign > 0.0), begin + time, xp)
             x, v, begin = x + way, speed, begin + flow.length
-            seen = seen.with_position(x, xp)._replace(energy=seen.energy + acting * way)
+            seen = seen.with_position(x, acting * way, xp)
         return (x, v), seen
 
     def _time_to_turn(self, turns: Array, v: Array, b: Array) -> Array:
@@ -369,30 +359,23 @@ def _motion(
         else:
             line = xp.concatenate([force[None], line[:-1]])
         is_new = (sample == middle) | (sample == last)  # a quarter of the run
-        earlier_low = xp.where(is_new, was.low, was.earlier_low)
-        earlier_high = xp.where(is_new, was.high, was.earlier_high)
-        maxima = xp.where(is_new, 0.0, was.maxima)
-        seen = Seen(x, x, maxima, was.first_maximum, was.last_maximum, was.energy)
+        seen = was._replace(low=x, high=x, maxima=xp.where(is_new, 0.0, was.maxima))
         body, seen = plant.moved(runs, body, seen, line, sample)
         is_near = (abs(body[0]) < LIMIT) & (abs(body[1]) < LIMIT)
         x, *others = (xp.where(is_near, value, 0.0) for value in body)
         x = xp.where(is_near, x, LIMIT)
         low, high = xp.where(is_near, seen.low, LIMIT), xp.where(is_near, seen.high, LIMIT)
         moved = xp.maximum(high - was.place, was.place - low) > runs.tolerance
-        now = Summary(
+        now = seen._replace(
             low=xp.where(is_new, low, xp.minimum(was.low, low)),
             high=xp.where(is_new, high, xp.maximum(was.high, high)),
-            earlier_low=earlier_low,
-            earlier_high=earlier_high,
+            earlier_low=xp.where(is_new, was.low, was.earlier_low),
+            earlier_high=xp.where(is_new, was.high, was.earlier_high),
             place=xp.where(moved, x, was.place),
             since=xp.where(moved, sample + 1.0, was.since),
-            maxima=seen.maxima,
-            first_maximum=seen.first_maximum,
-            last_maximum=seen.last_maximum,
             deepest=xp.maximum(was.deepest, high),
             strongest=xp.maximum(was.strongest, abs(force)),
             limited_since=xp.where(is_limited, was.limited_since, sample + 1.0),
-            energy=seen.energy,
         )
         return (sample + 1, (x, *others), memory, line, now), before
 
@@ -520,8 +503,8 @@ class Handle(NamedTuple):
         return x, v * self.ticks, *others
 
     def moved(
-        self, runs: Runs, state: tuple[Array, ...], seen: Seen, forces: Any, sample: Any
-    ) -> tuple[tuple[Array, ...], Seen]:
+        self, runs: Runs, state: tuple[Array, ...], seen: Summary, forces: Any, sample: Any
+    ) -> tuple[tuple[Array, ...], Summary]:
         """Return the states at the next sample."""
         x, v, *others = state
         xp, turn = functions(x), sample % len(self.ages)
@@ -550,7 +533,7 @@ class Handle(NamedTuple):
         remaining: Array,
         loose: Array,
         states: Array,
-        seen: Seen,
+        seen: Summary,
     ) -> Any:
         """Move until the velocity passes 0, a handle that sticks breaks loose, or the piece ends.
 
@@ -578,7 +561,7 @@ class Handle(NamedTuple):
         stops, breaks = ends & ~sticks, ends & sticks
         moved = xp.concatenate([moved[:1], xp.where(stops, 0.0, moved[1])[None], moved[2:]])
         remaining = remaining - time
-        seen = seen.with_position(moved[0], xp)._replace(energy=seen.energy + work)
+        seen = seen.with_position(moved[0], work, xp)
         seen = seen.with_maximum(stops & (sign > 0.0), end - remaining / self.ticks, xp)
         return count + 1, remaining, xp.where(breaks, xp.sign(value), 0.0), moved, seen
 

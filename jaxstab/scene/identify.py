@@ -58,7 +58,7 @@ from jaxstab.arrays import Numbers
 from jaxstab.loop import HapticLoop
 from jaxstab.model import Velocity
 from jaxstab.model.linear_loop import loop_polynomial
-from jaxstab.motion.contact import Flow, Plant, Runs, Seen, series, series_at
+from jaxstab.motion.contact import Flow, Plant, Runs, Summary, series, series_at
 from jaxstab.numbers import checked, checked_number
 from jaxstab.scene.answers import Quantity
 from jaxstab.scene.scene import Controller, Device, Units
@@ -583,7 +583,7 @@ def _paths(
     turn = [[1, 0]], [flows]  # the force before the newest acts first
     plant = Plant(gamma, 0.5 * delta, gamma - 0.25 * delta**2, impulse, step, *turn, oldest=1)
     nothing = np.zeros_like(x)
-    runs, seen = Runs(*[nothing] * 12), Seen(*[nothing] * 6)
+    runs, seen = Runs(*[nothing] * 12), Summary(*[nothing] * 13)
     runs = runs._replace(friction=friction / mass, static_friction=friction / mass)
     length = pushes.shape[1] - HISTORY - AHEAD
     segment, newest = np.arange(len(pushes)), HISTORY - whole
