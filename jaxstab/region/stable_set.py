@@ -344,7 +344,8 @@ class StableRegion(ShownRegion):
 
         None where small positive gains are not stable.
         """
-        return next(filter(_holds_small_gains, self.components[:1]), None)
+        first = self.components[:1]
+        return next((own for own in first if holds_small_gains(own.curve, own.outline)), None)
 
     @property
     def islands(self) -> list["StableRegion"]:
@@ -437,10 +438,6 @@ def region_within(c: Curve, outline: Outline) -> StableRegion:
         max_alpha=outline.vertices[largest[0]] + 0.0,  # no -0
         max_beta=outline.vertices[largest[1]] + 0.0,
     )
-
-
-def _holds_small_gains(component: StableRegion) -> bool:
-    return holds_small_gains(component.curve, component.outline)
 
 
 def _checked_points(alpha: Numbers, beta: Numbers) -> tuple[Array, Array]:
