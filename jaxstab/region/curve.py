@@ -23,7 +23,7 @@ they are.
 A circle of radius r is the unit circle of the polynomials of r z.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -31,6 +31,7 @@ import numpy as np
 from jaxtyping import Bool, Complex128, Float64
 
 from jaxstab.arrays import PI_REST, Array
+from jaxstab.conventions import Verdict
 from jaxstab.exact.boundary import (
     CurveParts,
     RootLine,
@@ -40,6 +41,7 @@ from jaxstab.exact.boundary import (
     root_lines,
     undamped_modes,
 )
+from jaxstab.exact.verdict import wall_verdict
 from jaxstab.model import LoopParameters
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.rounding import UNIT
@@ -138,6 +140,10 @@ class Curve(NamedTuple):
     def degree(self) -> int:
         """The degree of p(z)."""
         return self.parts.shape[1] - 1
+
+    def is_stable(self, wall: Iterable[float]) -> bool:
+        """True if balls prove a wall stable."""
+        return wall_verdict(self.loop.triple, *map(float, wall)).verdict == Verdict.STABLE
 
 
 @lru_cache(64)

@@ -23,8 +23,6 @@ from jaxtyping import Float64, Int
 
 from jaxstab.arrays import Array, constant, joined, namespace, tree_map
 from jaxstab.batches import on_host
-from jaxstab.conventions import Verdict
-from jaxstab.exact.verdict import wall_verdict
 from jaxstab.region.curve import Curve, bracketed_root, curve_gains, gains_and_slopes, nonzero
 from jaxstab.region.outline import Outline, polygon_area
 
@@ -43,9 +41,7 @@ def limits(
     """
 
     def ends(values: Array) -> Columns:
-        coordinates, slopes, exist = _crossings(
-            c, outline, values, axis, _met(outline, values, axis)
-        )
+        coordinates, slopes, exist = _crossings(c, outline, values, axis)
         order, last = np.argsort(coordinates, axis=-1), np.sum(exist, axis=-1) - 1  # NaN is last
         rows, first = np.arange(len(values)), np.maximum(0 if outermost else last - 1, 0 * last)
         chosen = order[rows, first], order[rows, last]
@@ -95,8 +91,7 @@ def interval_ends(
     Each line may have an axis of its own.
     """
     with np.errstate(all="ignore"):  # NaN and infinity are answers
-        coordinates, _, _ = _crossings(c, outline, values, axis, _met(outline, values, axis))
-    return np.sort(coordinates, axis=-1)
+        return np.sort(_crossings(c, outline, values, axis)[0], axis=-1)
 
 
 def contains(
@@ -110,8 +105,7 @@ def contains(
     def are_inside(alpha: Array, beta: Array) -> Array:
         inside, doubted = _is_inside(c, outline, alpha, beta)
         for k in np.flatnonzero(doubted) if is_proved else ():
-            proved = wall_verdict(c.loop.triple, float(alpha[k]), float(beta[k]))
-            inside[k] = proved.verdict == Verdict.STABLE
+            inside[k] = c.is_stable((alpha[k], beta[k]))
         return inside
 
     is_inside: Array = _columns(are_inside, outline, 0, alpha, beta)
@@ -223,12 +217,13 @@ def _moved(values: Array, *pairs: tuple[Array, Array]) -> Array:
 
 
 def _crossings(
-    c: Curve, outline: Outline, values: Array, axis: Axis, met: Array
+    c: Curve, outline: Outline, values: Array, axis: Axis, met: Array | None = None
 ) -> tuple[Array, Array, Array]:
-    """Return where rows meet edges, in the other coordinate (row, crossing), and which exist.
+    """Return where rows meet edges (those that are ``met``), in the other coordinate.
 
-    The second of the three results are the slopes of that coordinate by the value of the row.
+    Arrays (row, crossing) of that, of its slope by the value of the row, and of which exist.
     """
+    met = _met(outline, values, axis) if met is None else met
     count = np.sum(met, axis=-1)
     exist = np.arange(np.max(count, initial=1)) < count[:, None]
     edges = np.argsort(~met, axis=-1, kind="stable")[:, : exist.shape[1]]

@@ -12,7 +12,7 @@ are joined the boundary consists of closed loops; what stays open has been misse
 such an end the angle of the second pair on the circle tells where the arc that was missed begins.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from enum import IntEnum
 from functools import cache
 from itertools import product
@@ -107,12 +107,9 @@ def scan_angles(c: Curve, centers: Centers, *, with_balls: bool = False) -> Angl
     step = np.pi / count
     even = step * (np.arange(count) + 0.5)
     start = np.geomspace(_FIRST, even[0], to_ends, endpoint=False)
-    proved = np.array(
-        [(end.angle, end.angle_rest) for end in line_ends(c) if np.isfinite(end.angle)]
-    ).reshape(-1, 2)
     around = [
         _around(c.poles, to_poles, step),
-        _around(drawn_angles(c, *proved.T), to_proved, step),
+        _around(drawn_angles(c, *angles_of(line_ends(c)).T), to_proved, step),
         _around(drawn_angles(c, *centers.T), to_poles, step),
         _around_resonances(c),
         *(stretch.scan for stretch in c.stretches),
@@ -126,6 +123,11 @@ def scan_angles(c: Curve, centers: Centers, *, with_balls: bool = False) -> Angl
 def line_ends(c: Curve) -> list[End]:
     """Return the ends of straight parts."""
     return [end for line in c.lines for ends in line.line.intervals for end in ends]
+
+
+def angles_of(ends: "Iterable[End | _Stop]") -> Centers:
+    """Return angles and what rounding took from them; NaN where an end has none."""
+    return np.array([(end.angle, end.angle_rest) for end in ends]).reshape(-1, 2)
 
 
 def _around(centers: Angles, closest: float, farthest: float) -> Angles:
@@ -278,16 +280,6 @@ class _Ends(NamedTuple):
     walls: Float64[np.ndarray, "end 2"]
 
 
-@np.errstate(all="ignore")  # NaN and infinity are answers
-def find_pieces(c: Curve, angles: Angles, inside: Passes) -> Pieces:
-    """Return the arcs that angles in (-pi, pi), in order, find, and how they join.
-
-    Source: the D-decomposition of Gryazina, Polyak, Tremba (2008), with the criterion of Schur and
-    Cohn for the other roots.
-    """
-    return _joined(c, _arc_ends(c, angles, inside))
-
-
 def _arc_ends(c: Curve, angles: Angles, inside: Passes) -> _Ends:
     rounds, parts = (26, 2) if inside.with_balls else (6, 32)  # of the brackets of ends
     nothing = 0.0 if inside.with_balls else 3e-11  # radians: shorter arcs and gaps are rounding
@@ -394,13 +386,16 @@ def _stops(c: Curve) -> Iterator[_Stop]:
             yield high
 
 
-def _stop_angles(c: Curve, stops: list[_Stop]) -> Angles:
-    pairs = np.array([(stop.angle, stop.angle_rest) for stop in stops]).reshape(-1, 2)
-    return drawn_angles(c, *pairs.T)
+@np.errstate(all="ignore")  # NaN and infinity are answers
+def find_pieces(c: Curve, angles: Angles, inside: Passes) -> Pieces:
+    """Return the arcs that angles in (-pi, pi), in order, find, and how they join.
 
+    Ends of arcs and of straight parts are joined that are each other's nearest.
 
-def _joined(c: Curve, ends: _Ends) -> Pieces:
-    """Join ends of arcs and of straight parts that are each other's nearest."""
+    Source: the D-decomposition of Gryazina, Polyak, Tremba (2008), with the criterion of Schur and
+    Cohn for the other roots.
+    """
+    ends = _arc_ends(c, angles, inside)
     count = len(ends.theta) // 2
     stops = list(_stops(c))
     middles = curve_gains(c, np.mean(ends.theta.reshape(2, -1), axis=0)).T
@@ -409,8 +404,8 @@ def _joined(c: Curve, ends: _Ends) -> Pieces:
     size = np.max(np.abs(every), axis=0, initial=0.0, where=np.isfinite(every))
     size = np.where(size > 0.0, size, 1.0)
     theta, walls = ends.theta.copy(), ends.walls.copy()
-    of_end, of_stop = _matches(c, ends, stops, size)
-    angles = _stop_angles(c, stops)
+    angles = drawn_angles(c, *angles_of(stops).T)
+    of_end, of_stop = _matches(c, ends, stops, angles, size)
     for end, number in of_end.items():
         angle = angles[number]
         theta[end] = theta[end] if np.isnan(angle) else np.copysign(angle, theta[end])
@@ -472,14 +467,14 @@ def _angles_at(
 
 
 def _matches(
-    c: Curve, ends: _Ends, stops: list[_Stop], size: Float64[np.ndarray, "2"]
+    c: Curve, ends: _Ends, stops: list[_Stop], angles: Angles, size: Float64[np.ndarray, "2"]
 ) -> tuple[dict[int, int], dict[int, int]]:
     """Return the stop of ends of arcs, and what is joined to each stop: an end, or another stop.
 
     Of the second, the values are stops where lines cross, and -1 for ends of arcs.
     """
     pairs: list[tuple[float, int, int, bool]] = []
-    for number, (stop, angle) in enumerate(zip(stops, _stop_angles(c, stops), strict=True)):
+    for number, (stop, angle) in enumerate(zip(stops, angles, strict=True)):
         aside = np.max(np.abs(ends.walls - stop.wall) / size, axis=1)
         away = np.abs(np.abs(ends.theta) - angle)
         near = np.where(ends.is_pinned, away == 0.0, (away < _ANGLES_NEAR) & (aside < _WALLS_NEAR))

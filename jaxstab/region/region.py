@@ -24,10 +24,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.arrays import Numbers, is_traced
-from jaxstab.conventions import Verdict
 from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.exact.line import End, LineStatus, StableLine, stable_line
-from jaxstab.exact.verdict import wall_verdict
 from jaxstab.model import LoopParameters
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.model.filters import Filter, Velocity, as_keywords, known_filters
@@ -41,6 +39,7 @@ from jaxstab.region.pieces import (
     Centers,
     Passes,
     Pieces,
+    angles_of,
     find_pieces,
     line_ends,
     others_inside,
@@ -151,7 +150,7 @@ def _angles_on(line: StableLine) -> Centers:
 
 
 def _inner(ends: Iterable[End]) -> Centers:
-    angles = np.array([(end.angle, end.angle_rest) for end in ends]).reshape(-1, 2)
+    angles = angles_of(ends)
     return angles[(angles[:, 0] > 0.0) & (angles[:, 0] < np.pi)]
 
 
@@ -198,7 +197,8 @@ def _compared(c: Curve, outline: Outline) -> list[tuple[int, float, bool, float]
         aside = max(_BESIDE * limit, _LEAST * extent)
         if np.isfinite(limit):
             lines.append((axis, limit + aside, False, 0.0))
-            if not _is_stable(c, axis, limit - aside, float(extreme.point[1 - axis])):
+            other = float(extreme.point[1 - axis])
+            if not c.is_stable((limit - aside, other)[:: 1 - 2 * axis]):
                 lines.append((axis, limit - aside, True, 0.0))
     heights = (component.vertices[:, 1] for component in (main, *islands))
     rows = [float(np.min(beta) + np.ptp(beta) * row) for beta in heights]
@@ -222,7 +222,7 @@ def _contradictions(c: Curve, lines: _Lines, outline: Outline) -> Centers | None
     for own, (axis, value, is_inner, slim) in zip(ends, asked, strict=True):
         drawn = own[np.isfinite(own)].reshape(-1, 2)
         middles = np.mean(drawn, axis=1).tolist()
-        if is_inner and any(_is_stable(c, axis, value, middle) for middle in middles):
+        if is_inner and any(c.is_stable((value, x)[:: 1 - 2 * axis]) for x in middles):
             continue
         line = lines.at(axis, value)
         if line.status != LineStatus.PROVED:
@@ -273,11 +273,6 @@ def proved_extremes(region: StableRegion) -> tuple[Point, Point]:
                     point = np.array([high.value, 0.0][:: 1 - 2 * axis])
         points.append(point)
     return points[0], points[1]
-
-
-def _is_stable(c: Curve, axis: int, value: float, other: float) -> bool:
-    wall = (value, other) if axis == 0 else (other, value)
-    return wall_verdict(c.loop.triple, *wall).verdict == Verdict.STABLE
 
 
 def _agree(line: StableLine, drawn: Points, slim: float, share: float, size: float) -> bool:

@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int
 
 from jaxstab.arrays import Array, Numbers, float_arrays, namespace
-from jaxstab.conventions import MEASURED, Status, Verdict
-from jaxstab.exact.verdict import wall_verdict
+from jaxstab.conventions import MEASURED, Status
 from jaxstab.model import checked_gain, require_x64
 from jaxstab.numbers import require_together, without_noise
 from jaxstab.region import measures
@@ -214,9 +213,7 @@ def holds_small_gains(c: Curve, outline: Outline) -> bool:
         return False
     # Of a set that reaches far, all of these may be beyond the wall without gains that it holds.
     least = 1e-12 * extent  # less is rounding
-    walls = (least[0], 0.0), (0.0, least[1]), least
-    codes = [wall_verdict(c.loop.triple, *map(float, wall)).verdict for wall in walls]
-    return Verdict.STABLE in codes
+    return any(c.is_stable(wall) for wall in ((least[0], 0.0), (0.0, least[1]), least))
 
 
 def _loop(outline: Outline, start: int, end: int) -> Outline:
@@ -382,7 +379,7 @@ class StableRegion(ShownRegion):
         return measures.area(self.curve, self.outline)
 
     def _is_stable(self, alpha: float, beta: float) -> bool:
-        return wall_verdict(self.curve.loop.triple, alpha, beta).verdict == Verdict.STABLE
+        return self.curve.is_stable((alpha, beta))
 
     def _intervals_at(self, value: float, axis: int) -> np.ndarray:
         ends = measures.interval_ends(self.curve, self.outline, np.array([value]), axis=axis)[0]
