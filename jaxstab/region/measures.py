@@ -278,8 +278,9 @@ def _nearest(c: Curve, outline: Outline, points: Array) -> Array:
     """Return the nearest points (point, 2) of the boundary."""
     at_once = 4  # edges
     here, there = outline.vertices[:-1], outline.vertices[1:]
-    far = _box_distances(here, there, points[:, None])
-    far = np.where(outline.branches >= 0, far, np.inf)
+    low, high, near = np.minimum(here, there), np.maximum(here, there), points[:, None]
+    beside = np.maximum(np.maximum(low - near, near - high), 0.0)  # of the boxes of edges
+    far = np.where(outline.branches >= 0, np.hypot(beside[..., 0], beside[..., 1]), np.inf)
     order = np.argsort(far, axis=-1)
     bounds = np.take_along_axis(far, order, axis=-1)
     rows, best = np.arange(len(points)), np.full(len(points), np.inf)
@@ -300,12 +301,6 @@ def _nearest(c: Curve, outline: Outline, points: Array) -> Array:
     on_curve = curve_gains(c, theta).T
     on_line = _foot_on_chord(here[edge], there[edge], points)
     return np.where(outline.is_curved[edge][:, None], on_curve, on_line)
-
-
-def _box_distances(here: Array, there: Array, points: Array) -> Array:
-    low, high = np.minimum(here, there), np.maximum(here, there)
-    beside = np.maximum(np.maximum(low - points, points - high), 0.0)
-    return np.hypot(beside[..., 0], beside[..., 1])
 
 
 def _feet(c: Curve, outline: Outline, edges: Array, points: Array) -> tuple[Array, Array]:

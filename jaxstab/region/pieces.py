@@ -14,9 +14,8 @@ such an end the angle of the second pair on the circle tells where the arc that 
 
 from collections.abc import Iterable, Iterator
 from enum import IntEnum
-from functools import cache
 from itertools import product
-from math import comb, nan
+from math import nan
 from typing import NamedTuple
 
 import numpy as np
@@ -168,9 +167,7 @@ def others_inside(c: Curve, theta: Angles, *, with_balls: bool = False) -> Bool[
     inside = np.all(np.sum(terms, axis=1) > 16 * slack * np.sum(abs(terms), axis=1), axis=0)
     base, stiffness, damping = c.parts[:, :-2, None]
     falling = base + (stiffness * alpha[inside] + damping * beta[inside])
-    inside[inside] = fits = _may_be_stable(falling)
-    pair = 2.0 * np.cos(true[0][inside] + true[1][inside])
-    others = without_pair(falling[:, fits], pair)
+    others = without_pair(falling, 2.0 * np.cos(true[0][inside] + true[1][inside]))
     answers = all_inside(others)
     if with_balls:
         doubted = ~_is_clear(others)
@@ -208,19 +205,6 @@ def without_pair(falling: Array, total: Array, product: Array | float = 1.0) -> 
         before, last = last, coefficient + total * last - product * before
         quotient[power] = last
     return quotient
-
-
-def _may_be_stable(falling: Array) -> Bool[np.ndarray, "*walls"]:
-    """Return False where not all roots of p are inside, by the coefficients of (z + 1)^n alone."""
-    slack = 1e-6  # of coefficients
-    largest = (1.0 + slack) * _binomials(len(falling) + 1)[:-2, None]
-    fits: np.ndarray = np.all(np.abs(falling) <= largest, axis=0)
-    return fits
-
-
-@cache
-def _binomials(degree: int) -> Float64[np.ndarray, " coefficient"]:
-    return np.array([comb(degree, k) for k in range(degree + 1)], float)
 
 
 @np.errstate(all="ignore")  # NaN and infinity are answers
@@ -473,13 +457,16 @@ def _matches(
 
     Of the second, the values are stops where lines cross, and -1 for ends of arcs.
     """
+    beside = 1e-4  # of an arc, where its tangents are taken
     pairs: list[tuple[float, int, int, bool]] = []
     for number, (stop, angle) in enumerate(zip(stops, angles, strict=True)):
         aside = np.max(np.abs(ends.walls - stop.wall) / size, axis=1)
         away = np.abs(np.abs(ends.theta) - angle)
         near = np.where(ends.is_pinned, away == 0.0, (away < _ANGLES_NEAR) & (aside < _WALLS_NEAR))
         if stop.inwards is not None:  # the curve is 0/0; stable walls are on the left of arcs
-            along = _tangents(c, ends)
+            begin, end = ends.theta.reshape(2, -1)
+            step = beside * (end - begin)
+            along = gains_and_slopes(c, np.concatenate([begin + step, end - step]))[1]
             is_left = along[0] * stop.inwards[1] - along[1] * stop.inwards[0] > 0.0
             near = (away < _ANGLES_AGREE) & is_left
         near |= np.isnan(angle) & (aside < _ANGLES_AGREE)
@@ -502,13 +489,6 @@ def _matches(
         else:
             of_stop[partner] = number
     return of_end, of_stop
-
-
-def _tangents(c: Curve, ends: _Ends) -> Float64[np.ndarray, "2 end"]:
-    beside = 1e-4  # of an arc
-    begin, end = ends.theta.reshape(2, -1)
-    aside = beside * (end - begin)
-    return gains_and_slopes(c, np.concatenate([begin + aside, end - aside]))[1]
 
 
 def _corners(
