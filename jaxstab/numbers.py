@@ -5,6 +5,7 @@ The sentence has the name, the value and the range. Tracers pass: their values a
 
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from math import inf
 from typing import Any
 
@@ -86,13 +87,11 @@ def in_doubles(value: Any) -> Any:
 def real_numbers(name: str, value: Any) -> np.ndarray[Any, np.dtype[Any]]:
     """Return real numbers as NumPy has them, or raise TypeError; NaN is one of them."""
     require_unmasked(name, value)
-    try:
+    with suppress(ValueError):  # of rows of different lengths
         numbers = np.asarray(value)
-    except ValueError as error:  # rows of different lengths
-        raise TypeError(f"{name} is {shortened(value)}; give real numbers.") from error
-    if numbers.dtype.kind not in "iuf":
-        raise TypeError(f"{name} is {shortened(value)}; give real numbers.")
-    return numbers
+        if numbers.dtype.kind in "iuf":
+            return numbers
+    raise TypeError(f"{name} is {shortened(value)}; give real numbers.")
 
 
 def require_unmasked(name: str, value: Any) -> None:

@@ -43,7 +43,6 @@ Judge = Callable[[ParameterBoxes], tuple[Bool[np.ndarray, " box"], Float64[np.nd
 _CELLS = pi * (1.0 + BEYOND) * np.array([0, 1, 2, 3, 4, 6, 8, 12, 16, 20, 24, 32, 48, 64]) / 64.0
 _TOO = 0.2  # of what the best axis helps: then a second one is halved in the same round
 PULLS = 0.01, 0.02, 0.04, 0.08
-
 """Shares of the stiffness by which the wall that is proved lies below the limit."""
 
 

@@ -48,7 +48,9 @@ def _power(coefficients: list[Column], doublings: int) -> list[Column]:
     for turn in range(doublings):
         remainder = _squared(remainder, coefficients)
         if turn % 2 == 0:  # two squarings neither overflow nor underflow
-            remainder = _rescaled(remainder)
+            size = reduce(add, (jnp.abs(column) for column in remainder if column is not None))
+            scale = power_of_two_below_inverse(size)
+            remainder = [None if column is None else column * scale for column in remainder]
     return remainder
 
 
@@ -119,14 +121,6 @@ def _squared(remainder: list[Column], coefficients: list[Column]) -> list[Column
         for index, coefficient in enumerate(coefficients, start=power - degree):
             square[index] = square[index] if top is None else minus(square[index], top, coefficient)
     return square[:degree]
-
-
-def _rescaled(columns: list[Column]) -> list[Column]:
-    """Multiply by a power of two that brings the sum of sizes to [1, 2)."""
-    scale = power_of_two_below_inverse(
-        reduce(add, (jnp.abs(column) for column in columns if column is not None))
-    )
-    return [None if column is None else column * scale for column in columns]
 
 
 def _fitted(samples: list[Array]) -> tuple[Array, Array]:
