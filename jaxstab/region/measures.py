@@ -16,7 +16,7 @@ boundary, distances along the way to it.
 """
 
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64, Int
@@ -30,6 +30,7 @@ _STILL = 1e-13  # of the range: steps that are rounding
 
 Columns = tuple[Array, ...]
 Axis = int | Int[np.ndarray, " row"]
+Extreme = tuple[Array, int | None]  # a point, and which vertex it is; None where it is not one
 
 
 def limits(
@@ -50,13 +51,6 @@ def limits(
     columns, xp = _columns(ends, outline, 4, values), namespace(values)
     both, slopes = (xp.stack(pair, axis=-1) for pair in (columns[:2], columns[2:]))
     return _moved(both, (slopes, values[..., None]))
-
-
-class Extreme(NamedTuple):
-    """A point with the largest gain, and which vertex it is; None where it is not one."""
-
-    point: Array
-    vertex: int | None
 
 
 def quadrant_extremes(c: Curve, outline: Outline) -> tuple[Extreme, Extreme]:
@@ -80,7 +74,7 @@ def _extreme(outline: Outline, axis: int, crossing: float) -> Extreme:
         vertex, largest, point = None, crossing, np.array([crossing, 0.0][:: 1 - 2 * axis])
     sizes = _STILL * np.max(abs(np.nan_to_num(vertices)), axis=0)
     is_there = largest > sizes[axis] and np.max(other) > sizes[1 - axis]  # beyond rounding
-    return Extreme(np.where(is_there, point, np.nan) + 0.0, vertex)  # no -0
+    return np.where(is_there, point, np.nan) + 0.0, vertex  # no -0
 
 
 def interval_ends(

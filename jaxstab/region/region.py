@@ -192,12 +192,12 @@ def _compared(c: Curve, outline: Outline) -> list[tuple[int, float, bool, float]
     main, *islands = components_of(c, outline)
     sizes = np.ptp(outline.vertices, axis=0)
     lines: list[tuple[int, float, bool, float]] = []
-    for axis, extreme in enumerate(measures.quadrant_extremes(c, main)):
-        limit, extent = float(extreme.point[axis]), float(np.ptp(main.vertices[:, axis]))
+    for axis, (point, _) in enumerate(measures.quadrant_extremes(c, main)):
+        limit, other = point[[axis, 1 - axis]].tolist()
+        extent = float(np.ptp(main.vertices[:, axis]))
         aside = max(_BESIDE * limit, _LEAST * extent)
         if np.isfinite(limit):
             lines.append((axis, limit + aside, False, 0.0))
-            other = float(extreme.point[1 - axis])
             if not c.is_stable((limit - aside, other)[:: 1 - 2 * axis]):
                 lines.append((axis, limit - aside, True, 0.0))
     heights = (component.vertices[:, 1] for component in (main, *islands))
