@@ -308,8 +308,7 @@ def repeat(
         return start
     from jax import lax
 
-    result: Tree = lax.fori_loop(0, count, lambda _, state: step(state), start)
-    return result
+    return lax.fori_loop(0, count, lambda _, state: step(state), start)
 
 
 def repeat_and_keep(
@@ -324,8 +323,7 @@ def repeat_and_keep(
         return start, tree_map(lambda *values: np.array(values), *history)
     from jax import lax
 
-    result: tuple[Tree, Kept] = lax.scan(lambda state, _: step(state), start, length=count)
-    return result
+    return lax.scan(lambda state, _: step(state), start, length=count)
 
 
 def repeat_while(
@@ -338,8 +336,7 @@ def repeat_while(
         return start
     from jax import lax
 
-    result: Tree = lax.while_loop(is_open, step, start)
-    return result
+    return lax.while_loop(is_open, step, start)
 
 
 def with_values(array: Array, indices: np.ndarray, values: Array) -> Array:

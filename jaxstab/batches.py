@@ -99,8 +99,7 @@ def compiled(
                 namespace(given)  # tells JAX of our pytrees
                 # Within another compilation an option cannot be given.
                 is_outer = not any(map(is_traced, given))
-                answer: Result = program(wide and is_outer)(*arguments, **options)
-                return answer
+                return program(wide and is_outer)(*arguments, **options)
             if many == np.inf or _size(given) < many:
                 with np.errstate(all="ignore"):  # as XLA does: NaN and infinity are answers
                     return kernel(*arguments, **options)
@@ -198,16 +197,12 @@ def in_pieces(function: Callable[..., Result], arguments: tuple[Any, ...], count
             target[index if has_axis(target) else ...] = leaf
 
     on_cores(of_piece, list(pairwise(ends)))
-    result: Result = wholes[0]
-    return result
+    return wholes[0]
 
 
 def on_cores(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
     """Apply a function to items, on all cores that the CPU has for JAX."""
-    from concurrent.futures import ThreadPoolExecutor  # slow to import
-
-    with ThreadPoolExecutor(_threads()) as pool:
-        return list(pool.map(function, items))
+    return [result for _, result in ahead(function, items)]
 
 
 def ahead(
@@ -423,13 +418,12 @@ def on_host(
     import jax
 
     shapes = tree_map(lambda dtype: jax.ShapeDtypeStruct(shape, dtype), like)
-    result: Result = jax.pure_callback(
+    return jax.pure_callback(
         lambda *given: function(*map(np.asarray, given)),
         shapes,
         *arrays,
         vmap_method="broadcast_all",
     )
-    return result
 
 
 def asked_of_lanes(

@@ -202,8 +202,7 @@ class Edges(NamedTuple):
 
     def at(self, share: Float64[np.ndarray, " edge"]) -> Points:
         """Return the points at shares of the way between the ends."""
-        points: Points = self.ends[:, 0] + share[:, None] * (self.ends[:, 1] - self.ends[:, 0])
-        return points
+        return self.ends[:, 0] + share[:, None] * (self.ends[:, 1] - self.ends[:, 0])
 
 
 def polynomials(
@@ -211,10 +210,9 @@ def polynomials(
 ) -> Float64[np.ndarray, "point coefficient"]:
     """Return the coefficients of p(z), highest power first."""
     alpha, beta, *plant = maps.parameters(positions)
-    coefficients: Float64[np.ndarray, "point coefficient"] = characteristic_polynomial(
+    return characteristic_polynomial(
         alpha, beta, **by_name(*np.maximum(plant, 0.0)), **as_keywords(filters)
     )
-    return coefficients
 
 
 def on_circle(
@@ -222,9 +220,7 @@ def on_circle(
 ) -> Complex128[np.ndarray, "point angle"]:
     """Return p(z) / z^n at angles from 0 to pi."""
     angles, per_turn = 1 << 12, 64  # on the circle, at least; of a turn of z^n
-    values: Complex128[np.ndarray, "point angle"]
-    values = np.fft.rfft(falling, max(angles, per_turn * falling.shape[1]))
-    return values
+    return np.fft.rfft(falling, max(angles, per_turn * falling.shape[1]))
 
 
 def counted(

@@ -184,8 +184,7 @@ class HeldDevice(NamedTuple):
         above, below = self.parts(1j * turns, mass, arms)
         terms = above / below * (2.0 * np.sin(0.5 * theta) / turns)
         phases = np.exp(-1j * (turns * delay[:, None, None] + 0.5 * theta))
-        sums: np.ndarray = np.einsum("hka,dka->dha", terms, phases, optimize=True)
-        return sums
+        return np.einsum("hka,dka->dha", terms, phases, optimize=True)
 
     def largest_compliance(
         self, mass: tuple[float, float], arm: tuple[float, float], beyond: float
@@ -341,8 +340,7 @@ def taken(model: LinearModel, moves: Rows) -> Rows:
     """
     size = np.abs(model.slope)
     rest = np.where(np.isfinite(model.rest), model.rest, 0.0)
-    shares: Rows = moves + rest * size / np.maximum(size.sum(axis=0), 1e-300)
-    return shares
+    return moves + rest * size / np.maximum(size.sum(axis=0), 1e-300)
 
 
 _AT_ONCE = 2048

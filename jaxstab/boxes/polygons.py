@@ -67,8 +67,7 @@ class RobustRegion:
         """The vertex (alpha, beta) of the largest stiffness; NaN for an empty region."""
         if not len(self.outline):
             return np.full(2, np.nan)
-        vertex: Float64[np.ndarray, " 2"] = self.outline[np.argmax(self.outline[:, 0])]
-        return vertex
+        return self.outline[np.argmax(self.outline[:, 0])]
 
     def contains(self, alpha: Numbers, beta: Numbers) -> Bool[np.ndarray, "*grid"]:
         """True where walls are proved stable for all hands of the range, outside the outline too.
@@ -233,8 +232,7 @@ def pulled_in(outline: Points, tolerance: float) -> Points:
     following = np.roll(outline, -1, axis=0)
     cross = outline[:, 0] * following[:, 1] - following[:, 0] * outline[:, 1]
     centroid = np.sum((outline + following) * cross[:, None], axis=0) / (3 * np.sum(cross))
-    pulled: Points = centroid + (1 - tolerance) * (outline - centroid)
-    return pulled
+    return centroid + (1 - tolerance) * (outline - centroid)
 
 
 def failures(

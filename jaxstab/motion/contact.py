@@ -318,8 +318,7 @@ def _summary(
     plant: Mechanism, controller: Controller, runs: Runs, samples: Any, sides: Sides
 ) -> Summary:
     step, start = _motion(plant, controller, runs, samples, sides)
-    summary: Summary = repeat(samples, lambda state: step(state)[0], start)[-1]
-    return summary
+    return repeat(samples, lambda state: step(state)[0], start)[-1]
 
 
 def paths(

@@ -81,8 +81,7 @@ def _rolled_power(coefficients: list[Column], doublings: int) -> list[Column]:
         square = lax.fori_loop(0, degree, multiplied, square)
         square = lax.fori_loop(1, degree, reduced, square)[:degree]
         size = jnp.sum(jnp.abs(square), axis=0).astype(jnp.float64)
-        scaled: Array = square * power_of_two_below_inverse(size).astype(divisor.dtype)
-        return scaled
+        return square * power_of_two_below_inverse(size).astype(divisor.dtype)
 
     short = dense.astype(jnp.float32)
     remainder = lax.fori_loop(0, doublings - 1, lambda _, r: squared(r, short), -short)
@@ -176,8 +175,7 @@ def _dominant_root(coefficients: Float64[Array, "*grid coefficient"]) -> Complex
         root = root - _evaluated(coefficients, root) / _slope(coefficients, root)
     root = jnp.where(jnp.abs(root - guess) < farthest * jnp.abs(guess), root, guess)
     # Fused with a modulus, eight steps of Horner's rule take XLA's compiler for CPUs minutes.
-    barred: Array = lax.optimization_barrier(root)
-    return barred
+    return lax.optimization_barrier(root)
 
 
 def iterated_root(

@@ -195,8 +195,7 @@ def float_plant(gamma: Array, delta: Array, fraction: Array, *, is_fractional: b
 def _rounded_plant(
     gamma: Array, delta: Array, pairs: PlantCoefficients, *, is_fractional: bool
 ) -> Plant:
-    plant: Plant = rounded_loop(_plant_of(gamma, delta, pairs, is_fractional=is_fractional))
-    return plant
+    return rounded_loop(_plant_of(gamma, delta, pairs, is_fractional=is_fractional))
 
 
 def _plant_of(

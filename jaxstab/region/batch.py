@@ -158,8 +158,7 @@ def _wall(loop: Triples, theta: Array) -> Array:
 
 
 def _with_slopes(loop: Triples, theta: Array) -> tuple[Array, Array]:
-    both: tuple[Array, Array] = jax.jvp(partial(_wall, loop), (theta,), (jnp.ones_like(theta),))
-    return both
+    return jax.jvp(partial(_wall, loop), (theta,), (jnp.ones_like(theta),))
 
 
 def cross(one: Any, other: Any) -> Array:

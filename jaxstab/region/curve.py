@@ -76,8 +76,7 @@ class Stretch(NamedTuple):
 
     def holds(self, size: Angles) -> Bool[np.ndarray, " _"]:
         """True for angles between 0 and pi that are drawn out."""
-        held: np.ndarray = np.abs(size - self.angle) < self.half_width
-        return held
+        return np.abs(size - self.angle) < self.half_width
 
     def offsets(self, size: Angles, low: Angles) -> tuple[Angles, Angles]:
         """Return true angles less the middle, and their derivatives."""
@@ -104,8 +103,7 @@ class Stretch(NamedTuple):
     def is_upwards(self, size: Angles) -> Bool[np.ndarray, " angle"]:
         """Where det > 0."""
         offset = self.offsets(size, np.zeros(1))[0]
-        upwards: np.ndarray = np.polyval(self.series[2, ::-1], offset) > 0.0
-        return upwards
+        return np.polyval(self.series[2, ::-1], offset) > 0.0
 
 
 class Curve(NamedTuple):
@@ -353,8 +351,7 @@ def is_oriented(c: Curve, theta: Angles) -> Bool[np.ndarray, " angle"]:
     for stretch in c.stretches:
         held = stretch.holds(np.abs(theta))
         upwards[held] = stretch.is_upwards(np.abs(theta[held]))
-    oriented: np.ndarray = upwards == (theta > 0.0)
-    return oriented
+    return upwards == (theta > 0.0)
 
 
 def _crossed(values: Array, quotient: Array) -> Array:

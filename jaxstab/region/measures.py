@@ -102,8 +102,7 @@ def contains(
             inside[k] = c.is_stable((alpha[k], beta[k]))
         return inside
 
-    is_inside: Array = _columns(are_inside, outline, 0, alpha, beta)
-    return is_inside
+    return _columns(are_inside, outline, 0, alpha, beta)
 
 
 def holds(c: Curve, outline: Outline, wall: Iterable[float]) -> bool:

@@ -132,8 +132,7 @@ def angles_of(ends: "Iterable[End | _Stop]") -> Centers:
 def _around(centers: Angles, closest: float, farthest: float) -> Angles:
     to_centers = 14  # angles that come closer and closer
     offsets = np.geomspace(closest, farthest, to_centers)
-    around: Angles = (centers[:, None] + np.concatenate([-offsets, offsets])).ravel()
-    return around
+    return (centers[:, None] + np.concatenate([-offsets, offsets])).ravel()
 
 
 def _around_resonances(c: Curve) -> Angles:
@@ -144,8 +143,7 @@ def _around_resonances(c: Curve) -> Angles:
     extent = np.maximum(angle, widths * width)
     growth = np.linspace(0.0, 1.0, to_roots)
     offsets = width / widths * (extent / (width / widths)) ** growth
-    around: Angles = (angle + np.concatenate([-offsets, offsets], axis=1)).ravel()
-    return around
+    return (angle + np.concatenate([-offsets, offsets], axis=1)).ravel()
 
 
 # ------------------------------------------------------------------------ the other roots of p
@@ -216,16 +214,14 @@ def all_inside(falling: Array, radius: Array | float = 1.0) -> Bool[np.ndarray, 
     """
     at_once = 32  # steps after which the polynomials that failed are dropped
     falling = falling / radius ** np.arange(len(falling))[:, None]
-    passes = np.ones(falling.shape[1], bool)
-    index = np.arange(passes.size)
+    passes, index = np.zeros(falling.shape[1], bool), np.arange(falling.shape[1])
     while len(falling) > 1 and index.size:
-        open_ones = passes[index]
-        falling, index = falling[:, open_ones], index[open_ones]
         inside = np.ones(index.size, bool)
         for _ in range(min(at_once, len(falling) - 1)):
             falling, reflection = _lowered(falling)
             inside &= abs(reflection) < 1.0 - MARGIN
-        passes[index] = inside
+        falling, index = falling[:, inside], index[inside]
+    passes[index] = True
     return passes
 
 

@@ -320,8 +320,7 @@ class StableRegion(ShownRegion):
 
         They are right to a few rounding errors, next to the Nyquist frequency too.
         """
-        corners: np.ndarray = self.outline.corners + 0.0
-        return corners
+        return self.outline.corners + 0.0
 
     @cached_property
     def components(self) -> list["StableRegion"]:
