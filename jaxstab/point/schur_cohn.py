@@ -152,7 +152,9 @@ def _at_the_end(
         for _ in range(degree - 4):
             chain = _step(chain, unit)
     else:
-        chain = _steps(chain, unit, degree - 4)
+        xp, step = namespace(chain), partial(_step, unit=unit, is_rolled=True)
+        start = tree_map(lambda value: xp.broadcast_to(value, xp.shape(chain.error)), chain)
+        chain = repeat(degree - 4, step, start)
     gap, error, ratio = _last_gap(chain, unit, is_monic=is_cubic)
     is_clear = abs(gap) > (SAFETY * (degree - 1)) * error
     return chain, gap, ratio, is_clear & chain.regular & (abs(ratio) != 1.0)
@@ -171,12 +173,6 @@ def _last_gap(chain: Chain, unit: float, *, is_monic: bool) -> tuple[Array, Arra
     sizes = abs(b0) + abs(b1) + 2.0 * abs(b3) + size_sum(head) + size_sum(tail)
     error = chain.error + modulus * (chain.error + chain.head_error + 4.0 * unit * sizes)
     return gap, error + 2.0 * unit * (abs(chain.gap) + size_sum(tail[1:2])), ratio
-
-
-def _steps(chain: Chain, unit: float, count: Array) -> Chain:
-    xp = namespace(chain, count)
-    start = tree_map(lambda value: xp.broadcast_to(value, xp.shape(chain.error)), chain)
-    return repeat(count, lambda state: _step(state, unit, is_rolled=True), start)
 
 
 def _step(chain: Chain, unit: float, *, is_monic: bool = False, is_rolled: bool = False) -> Chain:
