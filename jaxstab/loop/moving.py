@@ -289,7 +289,7 @@ def _change(value: Array) -> Array:
 
 
 def _grown(equations: Callable[..., Array], start: Array, numbers: Any) -> Array:
-    """What moves as the unknowns that solve equations do, by the implicit function theorem."""
+    """Unknowns that move so that they solve the equations, by the implicit function theorem."""
     slopes = jax.jacfwd(equations)(start, jax.lax.stop_gradient(numbers))
     return -solved(slopes, equations(start, numbers)[:, None])[:, 0]
 

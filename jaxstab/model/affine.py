@@ -18,7 +18,7 @@ one plant G1 + G2; what both have of rigid motion is a common factor of all part
 common drift does not change e: it is divided out.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache, reduce
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -85,8 +85,7 @@ class AffineParts:
         chart, a, b = chart_of(self), flint.arb(first), flint.arb(second)
         triple = affine_triple(chart)
         if not chart.are_gains:
-            weights: Any = tuple(_weights(affine_triple(self), chart.by))
-            a, b = replace(chart, weights=weights).of_gains(a, b)
+            a, b = chart.of_gains(a, b, _weights(affine_triple(self), chart.by))
         return triple.base, triple.stiffness.scaled(a).plus(triple.damping.scaled(b))
 
     def is_reciprocal(self, start: tuple[float, float], along: tuple[float, float]) -> bool:
@@ -142,12 +141,13 @@ class Chart(AffineParts):
         ]
         return Triple.from_parts(pivot, *others)
 
-    def of_gains(self, first: Array, second: Array) -> tuple[Array, Array]:
-        """Gains as those of the chart."""
+    def of_gains(self, first: Array, second: Array, balls: Any = None) -> tuple[Array, Array]:
+        """Gains as those of the chart, by its weights or by these in balls."""
         if self.are_gains:
             return first, second
         whole = [1.0, first, second]
-        leading = sum(weight * x for weight, x in zip(self.weights, whole, strict=True))
+        weights = balls or self.weights
+        leading = sum(weight * x for weight, x in zip(weights, whole, strict=True))
         del whole[self.by]
         return whole[0] / leading, whole[1] / leading
 

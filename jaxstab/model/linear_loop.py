@@ -136,7 +136,7 @@ def _values_at(z: int, factors: Factors) -> Polynomial:
 
 
 def filter_factors(filters: Filters) -> tuple[Factors, Errors]:
-    """What filters in units of one sample put beside D and N, in powers of 1/z, and its errors.
+    """Factors of filters in units of one sample, beside D and N in powers of 1/z, and errors.
 
     They are Bp Bv beside D, Ap Bv and Av Bp beside N; the errors are bounds of those of the
     coefficients of each, summed, and of its values at 1 and -1.

@@ -289,6 +289,7 @@ def checked_response(frequency: Any, response: Any, error: Any) -> MeasuredRespo
         values = np.array([None])
     if values.dtype.kind not in "iufc":
         raise TypeError(f"response is {shortened(response)}; give complex numbers in m/N.")
+    values = values.astype(np.complex128)
     checked("response", np.stack([values.real, values.imag]))
     errors = np.ravel(checked("error", 0.0 if error is None else error, 0.0, 1.0))
     if len(values) != len(frequencies) or len(errors) not in (1, len(values)):
