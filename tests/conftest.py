@@ -7,6 +7,7 @@ touched.
 """
 
 import ctypes
+import gc
 import os
 import resource
 from collections.abc import Iterator
@@ -69,8 +70,9 @@ def _forget_programs() -> Iterator[None]:
         give_back(0)
         if _resident() > _forget_at:
             jax.clear_caches()
+            gc.collect()  # programs are parts of cycles
             give_back(0)
-            _forget_at = max(_forget_at, _resident() + (1 << 28))
+            _forget_at = max(_forget_at, _resident() + (1 << 27))
 
 
 def _resident() -> int:

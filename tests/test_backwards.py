@@ -8,6 +8,7 @@ import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from math import isnan
 from typing import Any
 
@@ -347,15 +348,49 @@ def test_hands_that_join_leave_the_verdicts_on_the_others(monkeypatch: pytest.Mo
     loop = jaxstab.HapticLoop(device=device, sample_time=1e-3, delay=1e-3, velocity=OMEGA.velocity)
     hands = jaxstab.HandRange(mass=(0.0, 0.5), damping=(0.0, 5.0), stiffness=(0.0, 300.0))
     wall = 600.0, 8.0
-    found = loop.range_of("delay", *wall, hands=hands, between=(3.8e-3, 4.2e-3), count=4)
+    found = loop.range_of("delay", *wall, hands=hands, between=(1e-4, 4.2e-3), count=6)
     tried = {each.device for each in asked}
     assert len(tried) > 8  # corners
     assert len(asked) == len(set(asked))
-    end = found.intervals[0][0]
+    end = found.intervals[0][1]
     codes = [
         {replace(loop, device=own, delay=delay).verdict(*wall) for own in tried} for delay in end
     ]
     assert codes == [{Verdict.STABLE}, {Verdict.STABLE, Verdict.UNSTABLE}]
+
+
+@pytest.mark.campaign
+def test_hands_that_refute_many_ends_join_until_the_others_are_proved() -> None:
+    """Each window from 120 to 136 samples is refuted by some mass between those at the ends."""
+    loop = jaxstab.HapticLoop(
+        device_mass=0.78, device_damping=20.0, sample_time=1.75e-3, delay=1.75e-3
+    )
+    wall, hands = (7000.0, 28.0), jaxstab.HandRange(mass=(0.0, 0.5))
+    found = loop.range_of("window", *wall, hands=hands, between=(120.0, 160.0))
+    assert found.is_proved
+    assert [(low.stable, high.stable) for low, high in found.intervals] == [(137.0, 160.0)]
+    masses = replace(loop, device_mass=0.78 + np.linspace(0.0, 0.5, 401))
+    for samples in range(120, 161):
+        codes = replace(masses, velocity=jaxstab.Velocity.difference(samples)).verdict(*wall)
+        assert np.any(codes == Verdict.UNSTABLE) == (samples < 137)
+
+
+@pytest.mark.campaign
+def test_ends_that_hand_after_hand_refutes_move_inwards() -> None:
+    """Of a device with a mode the worst hand at an end lies between all that were tried."""
+    mode = jaxstab.Mode(frequency=80.0, damping_ratio=0.02, modal_mass=0.1)
+    device = jaxstab.Device.modes([mode], mass=0.2, damping=0.5)
+    loop = jaxstab.HapticLoop(device=device, sample_time=1e-3, velocity=OMEGA.velocity)
+    hands = jaxstab.HandRange(mass=(0.0, 0.5), damping=(0.0, 5.0), stiffness=(0.0, 300.0))
+    found = loop.range_of("delay", 300.0, 8.0, hands=hands, between=(3e-3, 12e-3), count=6)
+    ((low, high),) = found.intervals
+    assert found.is_proved
+    assert 1.005 < low.stable / low.unstable < 1.02
+    for delay in (low.stable, high.stable):
+        for mass, damping, stiffness in product((0.0, 0.1, 0.5), (0.0, 5.0), (0.0, 300.0)):
+            hand = jaxstab.Hand.mass_spring_damper(mass=mass, damping=damping, stiffness=stiffness)
+            held = replace(loop, device=device.held_by(hand), delay=delay)
+            assert held.verdict(300.0, 8.0) == Verdict.STABLE
 
 
 @pytest.mark.parametrize("proved", [(1.0, 1.03), (1.005, 1.015), (1.1, 1.2)])
@@ -562,7 +597,11 @@ def test_what_is_not_proved_for_all_hands_holds_for_those_that_were_tried(
     held, light = (
         jaxstab.HapticLoop(device_mass=0.1, device_damping=b, sample_time=1e-3) for b in (5.0, 0.0)
     )
-    monkeypatch.setattr(jaxstab.loop.backwards, "_for_all", lambda found, _: (found, [light]))
+
+    def refuted(found: StableValues, *_: Any, **__: Any) -> tuple[StableValues, list[Any]]:
+        return found._replace(is_proved=False), [light]
+
+    monkeypatch.setattr(jaxstab.loop.backwards, "_for_all", refuted)
     found = held.range_of("device_mass", 1000.0, 5.0, hands=jaxstab.HandRange())
     assert not found.is_proved
     assert "\n  not proved for every hand\n" in repr(found)

@@ -251,18 +251,26 @@ def range_of(
         known = _verdicts(loops, quantity, wall, scan) if at_once else None
         return stable_values((quantity, UNITS[quantity]), scan, judge, known)
 
-    for _ in range(rounds):
-        found, refuting = (scanned(), []) if every is None else _for_all(scanned(), worst)
-        if not refuting:
+    if every is None:
+        return scanned()
+    for left in range(rounds, -1, -1):
+        found, refuting = _for_all(scanned(), worst, is_last=not left)
+        if found.is_proved or not refuting:
             return found
         loops += refuting
-    return scanned()._replace(is_proved=False)
+    found = scanned()
+    return found._replace(is_proved=not found.intervals)
 
 
-def _for_all(found: StableValues, worst: Callable[[float], Any]) -> tuple[StableValues, list[Any]]:
-    """The intervals with ends that are proved for all hands, or a hand that refutes one."""
+def _for_all(
+    found: StableValues, worst: Callable[[float], Any], *, is_last: bool = False
+) -> tuple[StableValues, list[Any]]:
+    """The intervals with ends that are proved for all hands, or the hands that refute some.
+
+    The last time ends that are refuted move inwards as those do that are not decided.
+    """
     shares = (0.0,) if found.is_complete else (0.0, 1e-6, 1e-4, 1e-2, 0.05)  # of an end, inwards
-    intervals, is_proved = [], True
+    intervals, is_proved, refuting = [], True, list[Any]()
     for low, high in found.intervals:
         ends = list[StableEnd]()
         for own, way in ((low, 1.0), (high, -1.0)):
@@ -271,13 +279,13 @@ def _for_all(found: StableValues, worst: Callable[[float], Any]) -> tuple[Stable
                 value = min(max(value, (ends or [low])[0].stable), high.stable)
                 hand = worst(value)
                 if hand.verdict == Verdict.UNSTABLE:
-                    return found._replace(is_proved=False), [hand.loop]
-                if hand.verdict == Verdict.STABLE:
+                    refuting.append(hand.loop)
+                if hand.verdict == Verdict.STABLE or (refuting and not is_last):
                     break
             is_proved &= hand.verdict == Verdict.STABLE
             ends.append(own._replace(stable=value))
         intervals.append((ends[0], ends[1]))
-    return found._replace(intervals=tuple(intervals), is_proved=is_proved), []
+    return found._replace(intervals=tuple(intervals), is_proved=is_proved), refuting
 
 
 def _held(loops: list[Any], quantity: str, scan: Scan) -> Scan:
