@@ -244,6 +244,7 @@ def range_of(
                 return Verdict.UNSTABLE
         return max(codes)
 
+    @cache  # and the proofs of ends that it does not move
     def worst(value: float) -> Any:
         return replace(every, loop=change(loop, value)).worst(*wall)
 
@@ -253,8 +254,8 @@ def range_of(
 
     if every is None:
         return scanned()
-    for left in range(rounds, -1, -1):
-        found, refuting = _for_all(scanned(), worst, is_last=not left)
+    for is_last in [*[False] * rounds, True]:
+        found, refuting = _for_all(scanned(), worst, is_last=is_last)
         if found.is_proved or not refuting:
             return found
         loops += refuting
