@@ -1,12 +1,14 @@
-"""The quick check of annotations refuses what jaxtyping's own decorator refuses."""
+"""The check of annotations at calls refuses what jaxtyping's own decorator refuses."""
 
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from inspect import isclass
 from typing import Any
 
 import numpy as np
 import pytest
-from annotations import CHECKED, begin, checked
+from annotations import CHECKED, begin, watch, watch_function
 from beartype import beartype
 from jaxtyping import Float64, Int64, TypeCheckError, jaxtyped
 
@@ -17,6 +19,20 @@ Decorator = Callable[[Any], Any]
 
 Pair = Float64[np.ndarray, " pair"]
 ONE, TWO, SINGLE = np.ones(1), np.ones(2), np.ones(2, np.float32)
+
+pytestmark = pytest.mark.skipif(sys.version_info < (3, 12), reason="no calls are told of")
+
+
+def ours(target: Any) -> Any:
+    """Watch what is called; nothing is decorated."""
+    watch(target, __name__) if isclass(target) else watch_function(target)
+    return target
+
+
+def jaxtypings(target: Any) -> Any:
+    if not isclass(target):
+        target.__code__ = target.__code__.replace()  # code of its own, which is not watched
+    return jaxtyped(typechecker=beartype)(target)
 
 
 def functions(decorator: Decorator) -> dict[str, Callable[..., Any]]:
@@ -65,7 +81,7 @@ def functions(decorator: Decorator) -> dict[str, Callable[..., Any]]:
         "returned": returned,
         "counted": counted,
         "named": named,
-        "yielded": yielded,
+        "yielded": lambda *given: list(yielded(*given)),
         "among": among,
         "made": Box,
         "added": lambda low, by: Box(low, low) + by,
@@ -106,7 +122,7 @@ WRONG: list[tuple[Any, ...]] = [
 ]
 
 
-@pytest.fixture(params=[checked, jaxtyped(typechecker=beartype)], ids=["ours", "jaxtyping's"])
+@pytest.fixture(params=[ours, jaxtypings])
 def decorated(request: pytest.FixtureRequest) -> dict[str, Callable[..., Any]]:
     return functions(request.param)
 
@@ -127,10 +143,10 @@ def test_another_type_dtype_or_size_is_refused(
 
 
 def test_the_first_calls_of_each_test_are_checked() -> None:
-    returned = functions(checked)["returned"]
+    returned = functions(ours)["returned"]
     for _ in range(CHECKED):
         with pytest.raises(TypeCheckError):
-            functions(checked)["returned"](TWO, ONE)  # made anew, it is the same function
+            functions(ours)["returned"](TWO, ONE)  # made anew, it is the same function
     assert returned(TWO, ONE) is TWO
     begin()  # as each test does
     with pytest.raises(TypeCheckError):
@@ -142,4 +158,6 @@ def test_jaxstab_is_checked() -> None:
         WallRegion("no loop", None)
     with pytest.raises(TypeCheckError):
         WallRegion.in_si_units(None, np.ones((2, 3)))
-    assert hasattr(curve_gains, "__wrapped__")
+    assert not hasattr(curve_gains, "__wrapped__")
+    with pytest.raises(TypeCheckError):
+        curve_gains(1, 2, 3)
