@@ -1,11 +1,14 @@
-"""How large the campaigns are: a tenth of their full size, or JAXSTAB_CAMPAIGN times that size.
+"""What is left to the campaigns, and how large they are.
 
-Where a tenth takes minutes, a test names a smaller size for `.ci/run`.
+They have a tenth of their full size, or JAXSTAB_CAMPAIGN times that size. Where a tenth takes
+minutes, a test names a smaller size for `.ci/run`.
 """
 
 import os
 from collections.abc import Iterable
 from typing import Any
+
+import pytest
 
 _SHARE = os.environ.get("JAXSTAB_CAMPAIGN")
 
@@ -20,3 +23,10 @@ def many(full: int, small: int | None = None) -> int:
 def some(cases: Iterable[Any], few: int) -> list[Any]:
     """Return all cases of a full campaign, and the first few of them for `.ci/run`."""
     return list(cases)[: None if _SHARE else few]
+
+
+def first(cases: Iterable[Any], few: int) -> list[Any]:
+    """Return all cases, of which the default tests try the first few."""
+    cases = list(cases)
+    values = (case if isinstance(case, tuple) else (case,) for case in cases[few:])
+    return cases[:few] + [pytest.param(*value, marks=pytest.mark.campaign) for value in values]

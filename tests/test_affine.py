@@ -289,6 +289,7 @@ def test_54_grids_of_gains_are_answered_as_pairs_are(loop: jaxstab.Loop) -> None
         assert abs(radius.value - radii.value[k]) <= radius.error + radii.error[k]
 
 
+@pytest.mark.campaign
 def test_54_grids_of_gains_go_through_jit_and_vmap() -> None:
     jax = pytest.importorskip("jax")
     loop = joint(substeps=4)

@@ -223,6 +223,7 @@ def test_check_of_a_scene_tells_how_far_its_encoder_drives_it() -> None:
     assert answer.as_json()["walls"]["hard"]["chatter_at_most"] is None
 
 
+@pytest.mark.campaign
 def test_a_picture_draws_lines_of_equal_amplitude() -> None:
     table = SCENE | {"controller": {"sample_time": 1e-3, "delay_samples": 1.0}}
     scene = Scene.from_table(table)

@@ -49,6 +49,7 @@ def loops_of(case: str) -> tuple[HapticLoop, Disturbed, tuple[float, float]]:
     return loop, disturbed, wall
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("cause", ["encoder", "force_step", "friction"])
 @pytest.mark.parametrize("case", CASES)
 def test_the_worst_signals_come_close_to_the_bound_and_not_beyond(case: str, cause: str) -> None:

@@ -248,6 +248,7 @@ def test_a_turn_between_a_corner_and_the_nearest_angle_of_the_scan_is_not_passed
         assert many[index].verdict(wall[0] * (1.0 + 1e-7), wall[1]) == Verdict.UNSTABLE
 
 
+@pytest.mark.campaign
 def test_the_area_of_a_region_with_three_pieces_is_that_of_its_loop() -> None:
     loop = HapticLoop(
         device_mass=0.0346,

@@ -57,6 +57,7 @@ def test_a_build_prints_what_the_file_holds_and_a_line_that_queries_it(tmp_path:
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["an atlas.h5", "small.toml"]
 
 
+@pytest.mark.campaign
 def test_a_build_sets_up_jax_for_itself(tmp_path: Path) -> None:
     spec = tmp_path / "smallest.toml"
     spec.write_text(SMALLEST_TOML, encoding="utf-8")
@@ -99,6 +100,7 @@ def test_points_outside_are_computed(path: Path) -> None:
     assert answer.stdout.splitlines()[1].endswith(f",{code.name.lower()},computed")
 
 
+@pytest.mark.campaign
 def test_a_plot_is_a_picture(path: Path, tmp_path: Path) -> None:
     png = tmp_path / "plot.png"
     answer = run("atlas", "plot", path, "-o", png, "--delta", "0.01", "--delay", "1.5")
@@ -111,6 +113,7 @@ def test_a_plot_is_a_picture(path: Path, tmp_path: Path) -> None:
     assert "delay 9 has no fields in this atlas" in answer.stderr
 
 
+@pytest.mark.campaign
 def test_a_picture_names_the_nodes_of_its_fields(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -235,7 +238,11 @@ PICTURES = [
 ]
 
 
-@pytest.mark.parametrize("commands", [WITHOUT_A_PICTURE, PICTURES], ids=["words", "pictures"])
+@pytest.mark.parametrize(
+    "commands",
+    [WITHOUT_A_PICTURE, pytest.param(PICTURES, marks=pytest.mark.campaign)],
+    ids=["words", "pictures"],
+)
 def test_what_is_asked_once_does_not_load_jax(commands: list[list[str]], tmp_path: Path) -> None:
     script = (
         "import json, sys\n"

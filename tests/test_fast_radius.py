@@ -190,7 +190,8 @@ class TestFastRadius:
         assert ((radius.status == RadiusStatus.PROVED) == np.isfinite(radius.error)).all()
 
 
-@pytest.mark.parametrize("delay", first_and_campaign([1.0, 0.0, 5.0, 60.0], 1))
+@pytest.mark.campaign
+@pytest.mark.parametrize("delay", [1.0, 0.0, 5.0, 60.0])
 def test_leaves_less_than_a_permille_to_the_eigenvalues(delay: float) -> None:
     alpha = np.linspace(-0.2, 1.0, 600)[:, None] / (1.0 + delay) ** 2
     beta = np.linspace(-0.2, 2.2, 600) / (1.0 + 2.0 * delay)
@@ -200,6 +201,7 @@ def test_leaves_less_than_a_permille_to_the_eigenvalues(delay: float) -> None:
     assert still_open.size < 1e-3 * error.size
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("rows", [64, 33])  # whole blocks of neighbours, and not
 def test_neighbours_in_a_grid_share_a_guess_and_nothing_else(
     rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, rows: int
@@ -225,7 +227,8 @@ def test_neighbours_in_a_grid_share_a_guess_and_nothing_else(
     assert np.all(np.abs(np.sort(again, axis=0) - np.sort(value, axis=0)) < 1e-11)
 
 
-@pytest.mark.parametrize("delay", first_and_campaign([2.0, 0.5, 8.0], 1))
+@pytest.mark.campaign
+@pytest.mark.parametrize("delay", [2.0, 0.5, 8.0])
 def test_the_first_try_of_a_dense_grid_leaves_few_points_open(delay: float) -> None:
     """Also next to the end of an axis that does not consist of whole blocks of neighbours."""
     side = 600

@@ -68,6 +68,7 @@ def fuzzed(fuzzer: Path, folder: Path, *options: str) -> str:
     return done.stderr
 
 
+@pytest.mark.campaign
 def test_32_the_corpus_and_some_mutants_are_read_safely(fuzzer: Path, tmp_path: Path) -> None:
     said = fuzzed(fuzzer, tmp_path, "-runs=20000", "-seed=1")
     assert "Done 20000 runs" in said

@@ -12,7 +12,7 @@ import pytest
 import scipy.integrate
 import scipy.linalg
 import scipy.signal
-from campaign import many, some
+from campaign import first, many, some
 from commands import assert_one_sentence, run
 
 import jaxstab
@@ -84,6 +84,7 @@ def assert_covered(device: Pushed, logs: int) -> None:
     assert min(hits.values()) >= least * logs, hits
 
 
+@pytest.mark.campaign
 def test_intervals_contain_the_truth() -> None:
     assert_covered(Pushed(), 4)
 
@@ -94,6 +95,7 @@ def test_intervals_contain_the_truth_in_90_of_100_logs(name: str) -> None:
     assert_covered(DEVICES[name], many(100, 4))
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("seed", range(4))
 def test_intervals_of_a_loop_that_diverges_contain_the_truth(seed: int) -> None:
     """The software's spring is too stiff: most of what a log of meters tells is in its end."""
@@ -506,7 +508,9 @@ def test_a_servo_is_found_to_rounding(changed: dict[str, float]) -> None:
 
 
 @pytest.mark.parametrize("kd", [0.6, 2.2])  # of at most 3.3: an encoder's errors are magnified
-@pytest.mark.parametrize("kind", ["noise", "an encoder in the log", "an encoder in the servo"])
+@pytest.mark.parametrize(
+    "kind", first(["noise", "an encoder in the log", "an encoder in the servo"], 1)
+)
 def test_intervals_of_a_servo_contain_the_truth(kind: str, kd: float) -> None:
     rng, hits, size = np.random.default_rng(3), np.zeros(3), 3e-4
     logs, warnings = many(100, 10), 0
@@ -545,6 +549,7 @@ def test_a_log_that_ends_too_soon_determines_no_servo(changed: dict[str, float])
         )
 
 
+@pytest.mark.campaign
 @pytest.mark.filterwarnings("error")
 def test_a_long_log_of_a_servo_is_fitted_though_tries_grow_without_end() -> None:
     setpoint, position = servo(rows=4000)

@@ -109,7 +109,11 @@ def interrupted(command: tuple[str, ...], seconds: float, folder: Path) -> tuple
 
 @pytest.mark.parametrize(
     ("name", "seconds"),
-    [("study", 0.7), ("contact with workers", 2.0), ("study with workers", 5.0)],
+    [
+        ("study", 0.7),
+        pytest.param("contact with workers", 2.0, marks=pytest.mark.campaign),
+        pytest.param("study with workers", 5.0, marks=pytest.mark.campaign),
+    ],
 )
 def test_51_ctrl_c_ends_a_command(name: str, seconds: float, tmp_path: Path) -> None:
     took, told = interrupted(COMMANDS[name], seconds, tmp_path)

@@ -156,6 +156,7 @@ def test_walls_are_proved_as_far_as_the_inequality_of_the_held_device_holds(name
 
 
 # -------------------------------------------------------------------------- verdicts, from outside
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("loop", "truth", "delays", "walls"),
     [
@@ -197,6 +198,7 @@ def test_a_wall_that_grows_is_found_proved_and_replayed() -> None:
         assert np.abs(constant.position[1000:]).max() < 1e-3
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("name", ["grip and actuator", "mode"])
 def test_limits_of_general_devices_survive_attacks_and_what_is_unstable_grows(name: str) -> None:
     loop = HapticLoop(device=DEVICES[name], velocity=Velocity.difference(samples=4), **AT)

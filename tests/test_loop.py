@@ -315,6 +315,7 @@ def test_numbers_that_do_not_broadcast_are_named(function: Callable[..., Any]) -
         function(0.1, [0.1, 0.2], gamma=0.0, delta=0.1, delay=[0.0, 1.0, 2.0])
 
 
+@pytest.mark.campaign
 def test_the_dense_case_goes_through_jit_and_vmap() -> None:
     stiffness, damping = (jax.numpy.asarray(gains) for gains in walls_of(WINDOW, 50))
     plain = WINDOW.verdict(np.asarray(stiffness), np.asarray(damping))
@@ -465,6 +466,7 @@ def test_a_tolerance_that_no_outline_keeps_is_refused(tolerance: float) -> None:
         WINDOW.region(tolerance=tolerance)
 
 
+@pytest.mark.campaign
 def test_float32_of_jax_is_computed_in_float64() -> None:
     """Formed in float32, K T^2/m is that of another wall, and its proof that of another loop."""
     mass, damping = np.float32(0.3), np.float32(20.0)

@@ -157,14 +157,8 @@ def true_step(point: list[mpf], axis: int, near: float) -> mpf:
     return mp.findroot(both, (near, mp.arg(root)), tol=1e-80)[0]
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "a pole at -1 comes first",
-        pytest.param("haptic", marks=pytest.mark.campaign),
-        *(pytest.param(name, marks=pytest.mark.campaign) for name in list(LOOPS)[1:3]),
-    ],
-)
+@pytest.mark.campaign
+@pytest.mark.parametrize("name", ["a pole at -1 comes first", "haptic", *list(LOOPS)[1:3]])
 def test_margins_move_with_the_loop_as_50_digit_differences_say(
     name: str, rng: np.random.Generator
 ) -> None:

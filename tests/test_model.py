@@ -380,7 +380,8 @@ class TestCharacteristicPolynomial:
         np.testing.assert_allclose(below, whole, atol=1e-12)
         np.testing.assert_allclose(above, np.append(whole, 0.0), atol=1e-12)
 
-    @pytest.mark.parametrize("delay", [0, pytest.param(1.6, marks=pytest.mark.campaign)])
+    @pytest.mark.campaign
+    @pytest.mark.parametrize("delay", [0, 1.6])
     def test_jit_and_vmap_work(self, delay: float) -> None:
         point = (0.1, 0.2, 0.3, 0.4)
         function = lambda a, b, g, d: jaxstab.characteristic_polynomial(  # noqa: E731

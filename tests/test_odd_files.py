@@ -205,6 +205,7 @@ print(*found.values())
 """
 
 
+@pytest.mark.campaign
 @pytest.mark.skipif(sys.platform != "linux", reason="the limit is that of Linux")
 def test_28_a_good_file_is_not_called_damaged_where_memory_runs_short() -> None:
     golden = Path(__file__).resolve().parents[1] / "data" / "golden" / "atlas-v4.h5"

@@ -243,7 +243,11 @@ CROWDED = {
 }
 
 
-@pytest.mark.parametrize("walls", [TABLE["walls"], CROWDED], ids=["two", "crowded"])
+@pytest.mark.parametrize(
+    "walls",
+    [TABLE["walls"], pytest.param(CROWDED, marks=pytest.mark.campaign)],
+    ids=["two", "crowded"],
+)
 @pytest.mark.parametrize("ask", [scene_limits, check_walls, tune_walls])
 def test_texts_cover_neither_marks_nor_each_other(ask: Any, walls: dict[str, Any]) -> None:
     device = TABLE["device"] | {"encoder": {"resolution": 1e-5}}
@@ -257,6 +261,7 @@ def test_texts_cover_neither_marks_nor_each_other(ask: Any, walls: dict[str, Any
     assert_texts_hide_nothing(figure, panel)
 
 
+@pytest.mark.campaign
 def test_a_map_of_contacts_names_its_conditions_and_its_colours() -> None:
     walls = {
         "passive": {"stiffness": 2500.0, "damping": 0.0},
@@ -281,6 +286,7 @@ def test_a_map_of_contacts_names_its_conditions_and_its_colours() -> None:
     assert "wall that also pulls" in scene_figure(both, simulate_contacts(both)).axes[0].get_title()
 
 
+@pytest.mark.campaign
 def test_the_proved_area_of_a_moving_delay_holds_the_walls_that_are_called_stable() -> None:
     walls = {
         "soft": {"stiffness": 5.0, "damping": 0.05},  # below the lowest damping of the picture

@@ -103,6 +103,7 @@ def test_roots_that_coincide_or_are_on_the_circle(roots: Polynomial, verdict: Ve
     assert found.status == RadiusStatus.PROVED
 
 
+@pytest.mark.campaign
 def test_axes_broadcast_under_vmap_and_of_each_input() -> None:
     rng = np.random.default_rng(3)
     grid = rng.uniform(-0.5, 0.5, (3, 4, 6))

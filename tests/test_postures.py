@@ -40,6 +40,7 @@ def code_of(wall: tuple[float, float], mass: float, hand: tuple[float, float, fl
     return loop.code(wall[0] * PERIOD**2 / moved, wall[1] * PERIOD / moved)
 
 
+@pytest.mark.campaign
 def test_the_limit_for_all_holds_for_all_masses_and_hands(rng: np.random.Generator) -> None:
     limits = scene_limits(Scene.from_table(table()))
     found = limits.all_hands

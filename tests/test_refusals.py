@@ -56,6 +56,7 @@ def test_issue_31_29_a_file_without_end_is_refused(command: list[str]) -> None:
     assert "/dev/zero has more than" in done.stderr
 
 
+@pytest.mark.campaign
 def test_issue_31_29_a_toml_file_of_100_mb_is_refused_unread(tmp_path: Path) -> None:
     file = tmp_path / "scene.toml"
     file.write_text(scene_text())
@@ -286,6 +287,7 @@ def test_issue_31_31_stdout_that_is_full_is_named() -> None:
         assert done.stderr == "jaxstab: cannot write stdout: No space left on device.\n"
 
 
+@pytest.mark.campaign
 def test_issue_31_31_names_reach_a_stdout_of_ascii(tmp_path: Path) -> None:
     file = tmp_path / "scene.toml"
     file.write_text(scene_text('"größe"'), encoding="utf-8")

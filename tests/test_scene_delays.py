@@ -136,6 +136,7 @@ def test_a_picture_of_several_scenes_is_of_one_delay(
     assert answer.exit_code in (0, 1)
 
 
+@pytest.mark.campaign
 def test_pictures_are_of_one_delay_or_of_one_that_moves(tmp_path: Path) -> None:
     file = tmp_path / "picture.png"
     refused = run("check", *MOVING, *ISSUE, "--constant-delay", "--plot", file)
@@ -541,6 +542,7 @@ def test_tuned_walls_are_judged_for_every_delay_of_the_range() -> None:
     assert Verdict.STABLE in verdicts
 
 
+@pytest.mark.campaign
 def test_tune_ends_with_0_where_all_that_it_names_is_proved() -> None:
     hands = ["--hand-mass", "0:0.1", "--hand-damping", "0.5:2"]
     tuned = answered("tune", *LIGHT, "--delay", "0.001", *hands)
@@ -616,6 +618,7 @@ def test_limits_around_a_wall_are_for_all_hands_of_a_delay_that_is_constant() ->
     assert inside < 1.0 < outside
 
 
+@pytest.mark.campaign
 def test_pictures_of_tune_and_design_are_of_the_longest_delay(tmp_path: Path) -> None:
     given = Scene.from_table(
         scene(delay=[0.0, T], delay_is="constant") | {"wanted": {"stiffness": 1e3}}
@@ -641,6 +644,7 @@ def test_measures_with_hands_are_the_worst_of_hands_and_delays() -> None:
     assert wall.stiffness_gain == pytest.approx(least, rel=1e-9)
 
 
+@pytest.mark.campaign
 def test_measures_with_hands_are_the_worst_at_all_corners_of_constant_delays() -> None:
     """They were those of the lightest hand at either delay, and of the hand that decays slowest."""
     table = scene(delay=[T, 2.0 * T], delay_is="constant")
@@ -667,6 +671,7 @@ def test_ranges_of_delays_are_rows_of_a_table(tmp_path: Path) -> None:
     assert rows[0]["refusal"] == ""
 
 
+@pytest.mark.campaign
 def test_a_guard_takes_the_range_of_its_scene(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

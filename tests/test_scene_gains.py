@@ -16,6 +16,7 @@ import mpmath
 import numpy as np
 import pytest
 import recursions
+from campaign import first
 from commands import assert_one_sentence, run
 
 import jaxstab
@@ -450,14 +451,17 @@ def test_54_what_turns_has_units_of_rotation(tmp_path: Path) -> None:
 # ----------------------------------------------------------------------------------------- design
 @pytest.mark.parametrize(
     ("tables", "name"),
-    [
-        (loop(JOINT | {"substeps": 4}, kp=5000.0), "step"),
-        (loop(JOINT | {"substeps": 4}, kp=500.0), "delay_steps"),
-        (loop(ROBOT, damping=100.0), "sample_time"),
-        (loop(ROBOT, mass=0.1), "delay_samples"),
-        (pid({"kd": 50.0}, kp=20000.0), "sample_time"),
-        (couple(OTHER, 1.0, 2.0, stiffness=10000.0), "delay_samples"),
-    ],
+    first(
+        [
+            (loop(JOINT | {"substeps": 4}, kp=5000.0), "step"),
+            (loop(ROBOT, damping=100.0), "sample_time"),
+            (loop(JOINT | {"substeps": 4}, kp=500.0), "delay_steps"),
+            (loop(ROBOT, mass=0.1), "delay_samples"),
+            (pid({"kd": 50.0}, kp=20000.0), "sample_time"),
+            (couple(OTHER, 1.0, 2.0, stiffness=10000.0), "delay_samples"),
+        ],
+        2,
+    ),
 )
 def test_54_design_gives_the_largest_value_that_allows_a_gain(tables: Tables, name: str) -> None:
     answer = answered(tables, "design").as_json()[name]

@@ -151,6 +151,7 @@ def picture_in(html: str) -> bytes:
     return b64decode(encoded)
 
 
+@pytest.mark.campaign
 def test_notebooks_show_a_picture_and_the_words() -> None:
     atlas = jaxstab.open_atlas(GOLDEN)
     for answer in (WINDOW.region(), PLAIN.region().region, atlas):

@@ -122,7 +122,8 @@ class TestSpectralRadius:
         error = float(radius.error[2, 0, 1, 1, 1])
         assert lower - error <= float(radius.value[2, 0, 1, 1, 1]) <= upper + error
 
-    @pytest.mark.parametrize("delay", [0, pytest.param(1.5, marks=pytest.mark.campaign)])
+    @pytest.mark.campaign
+    @pytest.mark.parametrize("delay", [0, 1.5])
     def test_gradient_is_the_motion_of_the_dominant_root(self, delay: float) -> None:
         scenes = np.array([SCENE, (0.02, 0.1, 1e-3, 0.015), (0.1, 0.5, 0.01, 0.05)])
         function = lambda *points: jaxstab.spectral_radius(**by_name(*points, delay)).value.sum()  # noqa: E731

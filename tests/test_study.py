@@ -13,7 +13,7 @@ import dask
 import numpy as np
 import pytest
 import xarray
-from campaign import many
+from campaign import first, many
 from commands import assert_one_sentence, run, run_code
 from scipy import stats
 
@@ -886,14 +886,17 @@ def test_the_command_refuses_in_a_sentence(arguments: list[str], words: str, des
 
 @pytest.mark.parametrize(
     ("over", "answers", "shown"),
-    [
-        ({"hand.stiffness": "normal:300:100"}, "limits", "% of the draws that allow it"),
-        ({"device.mass": [0.1, 0.2], "hand.damping": "uniform:1:4"}, "limits", "5th to 95th"),
-        ({"device.mass": [0.1, 0.2], "hand.damping": [1.0, 2.0]}, "limits", "largest stiffness"),
-        ({"device.mass": [0.1, 0.2], "hand.damping": (1.0, 4.0, 8)}, "limits", "damping of the"),
-        ({"device.mass": [0.1, 0.2], "hand.damping": "uniform:1:4"}, "verdict", "95 % confid"),
-        ({"device.mass": [0.1, 0.2]}, "verdict", "verdict"),
-    ],
+    first(
+        [
+            ({"hand.stiffness": "normal:300:100"}, "limits", "% of the draws that allow it"),
+            ({"device.mass": [0.1, 0.2], "hand.damping": "uniform:1:4"}, "verdict", "95 % confid"),
+            ({"device.mass": [0.1, 0.2], "hand.damping": "uniform:1:4"}, "limits", "5th to 95th"),
+            ({"device.mass": [0.1, 0.2], "hand.damping": [1.0, 2.0]}, "limits", "largest stiff"),
+            ({"device.mass": [0.1, 0.2], "hand.damping": (1.0, 4.0, 8)}, "limits", "damping of"),
+            ({"device.mass": [0.1, 0.2]}, "verdict", "verdict"),
+        ],
+        2,
+    ),
 )
 def test_pictures_name_their_axes(over: dict[str, Any], answers: str, shown: str) -> None:
     figure = study_figure(jaxstab.study(TABLE, over, answers=[answers], samples=9))

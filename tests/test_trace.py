@@ -342,6 +342,7 @@ def with_filters(request):
     return trace, np.array(window), polynomial
 
 
+@pytest.mark.campaign
 def test_with_filters_counts_change_only_across_the_trace(with_filters, rng):
     trace, window, polynomial = with_filters
     assert np.all(trace.status == TraceStatus.CONVERGED)

@@ -191,13 +191,14 @@ class TestMinimizeRadius:
         assert set(np.unique(best.status)) == {TuningStatus.TRIPLE_ROOT, TuningStatus.DOUBLE_PAIR}
         assert float(best.value[0, 0]) == pytest.approx(LEAST_RADII[1], abs=5e-7)
 
+    @pytest.mark.campaign
     @pytest.mark.parametrize(
         ("plant", "angle"),
         [
             DOUBLE_PAIRS[1],
-            pytest.param(TRIPLE_ROOTS[2], 0.0, marks=pytest.mark.campaign),
-            pytest.param(TRIPLE_ROOTS[1], 0.0, marks=pytest.mark.campaign),
-            pytest.param(*DOUBLE_PAIRS[0], marks=pytest.mark.campaign),
+            (TRIPLE_ROOTS[2], 0.0),
+            (TRIPLE_ROOTS[1], 0.0),
+            DOUBLE_PAIRS[0],
         ],
     )
     def test_derivative_is_the_motion_of_the_multiple_root(
