@@ -255,8 +255,6 @@ def proved_extremes(region: StableRegion) -> tuple[Point, Point]:
     than float64. NaN if no gain is positive.
     """
     c, outline = region.curve, region.outline
-    small, rounding = 1e-6, 1e-12  # of what a set spans: where the row through the origin is asked
-    holds_none = measures.holds(c, outline, (0.0, 0.0))
     points = []
     for axis, (point, _) in enumerate(measures.quadrant_extremes(c, outline)):
         limit, extent = float(point[axis]), float(np.ptp(outline.vertices[:, axis]))
@@ -266,11 +264,6 @@ def proved_extremes(region: StableRegion) -> tuple[Point, Point]:
             apart = np.abs(ends - limit)  # an outline is right to some 1e-11 of its size
             if np.min(apart, initial=np.inf) < _BESIDE * max(limit, extent):
                 point[axis] = ends[np.argmin(apart)]
-        if holds_none and not point[axis] > small * extent:
-            for low, high in _Lines(c.loop).at(1 - axis, 0.0).intervals:
-                least = np.fmax(point[axis], rounding * extent)
-                if low.value < 0.0 and high.value > least:
-                    point = np.array([high.value, 0.0][:: 1 - 2 * axis])
         points.append(point)
     return points[0], points[1]
 
