@@ -17,7 +17,7 @@ from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.model import LoopParameters, by_name
 from jaxstab.paper import minus_line, plus_line
 from jaxstab.region import boundary_curve
-from jaxstab.region.closed_form import quick_plant
+from jaxstab.region.closed_form import Responses, circle_equations, quick_plant
 from jaxstab.region.curve import Curve, bracketed_root, curve_gains, curve_of, gains_and_slopes
 
 ACCURACY = 1e-13
@@ -309,3 +309,25 @@ def test_the_quick_plant_has_thirteen_digits_of_one(rng: np.random.Generator) ->
         names = ("d1", "d0", "n2", "n1", "n0")
         wrong = [abs(flint.arb(float(getattr(quick, x)[k])) - getattr(true, x)) for x in names]
         assert max(map(float, wrong)) < 1e-13 * (1.0 + gamma[k] ** 0.5 / 4.0)
+
+
+def test_the_equations_of_a_root_on_the_circle_are_the_polynomial_there(
+    rng: np.random.Generator,
+) -> None:
+    """p(z) over the power of z below its first, on both halves of the circle."""
+    responses = Responses.from_filters(None)
+    for gamma, delta, delay in [
+        (0.0, 0.0, 0.0),
+        (2.3, 0.4, 1.0),
+        (0.7, 3.0, 2.25),
+        (9.0, 0.1, 5.5),
+    ]:
+        alpha, beta = rng.uniform(-1.0, 1.0, 2).tolist()
+        theta = rng.uniform(0.05, np.pi - 0.05, 12)
+        hand = np.array(gamma), np.array(delta), np.array(delay)
+        real, imag_over_sine = circle_equations(hand, alpha, beta, theta, responses)
+        falling = truth.polynomial(alpha, beta, gamma, delta, delay)
+        for k, z in enumerate(map(mp.expj, map(mpf, theta.tolist()))):
+            true = truth.evaluate(falling, z) / z ** (len(falling) - 2)
+            found = mp.mpc(real[k], imag_over_sine[k] * np.sin(theta[k]))
+            assert abs(found - true) < 1e-13 * sum(map(abs, falling))

@@ -99,6 +99,14 @@ def test_rounding_moves_the_curve_by_less_than_is_said(
     assert np.median(errors / np.abs(curve_gains(c, angles))) < 1e-10
 
 
+@pytest.mark.parametrize("number", LOOPS[:4])
+def test_the_bound_of_rounding_covers_polynomials_that_are_all_off(number: int) -> None:
+    """With base larger, and N, A and B smaller by a share, the gains grow by three such shares."""
+    c, _ = drawn(number)
+    share = 8.0 * (c.straight.shape[1] + 1) * 2.0**-53  # of one polynomial
+    assert np.all(curve_errors(c, ANGLES) >= 3.0 * share * np.abs(curve_gains(c, ANGLES)))
+
+
 @pytest.mark.parametrize("number", [*LOOPS, *SLOW])
 def test_slopes_of_the_curve_are_those_of_walls_on_either_side(number: int) -> None:
     """Central differences of h and 2 h, extrapolated."""
@@ -210,6 +218,13 @@ def test_pieces_do_not_close_to_a_loop_if_the_scan_misses_one_of_them(number: in
                 assert np.sum(np.abs(np.abs(roots_at(balls, theta)) - 1.0) < 1e-5) >= 3
         others = angles[(angles < begin) | (angles > end)]
         assert find_pieces(c, others, Passes(c)).open.size
+
+
+def test_the_highest_power_turns_by_at_most_pi_over_8_between_two_angles_of_a_scan() -> None:
+    late = LoopParameters(device_mass=1.0, device_damping=0.1, sample_time=1.0, delay=100.0)
+    c = curve_of(ScaledLoop(late, (1.0, 1.0)))
+    angles = np.sort(np.abs(scan_angles(c, np.empty((0, 2)))))
+    assert c.degree * np.max(np.diff(angles)) <= np.pi / 8.0 * (1.0 + 1e-9)
 
 
 def test_arcs_follow_one_another_through_all_branches(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,6 +14,7 @@ from benchmarks.truth import loop as truth
 from benchmarks.truth.filtered import FilteredLoop, average, difference
 from benchmarks.truth.random_loops import DeviceLoop
 from jaxstab import HapticLoop, limits_of, regions_of
+from jaxstab.exact.line import stable_line
 from jaxstab.model import by_name
 from jaxstab.region import (
     Branch,
@@ -22,6 +23,7 @@ from jaxstab.region import (
     boundary_curve,
     stable_region,
 )
+from jaxstab.region.region import _agree
 
 HAPTIC = (1e-3, 0.015)
 NYQUIST = np.pi**2
@@ -86,6 +88,20 @@ def test_without_hand_and_delay_the_region_is_the_known_one() -> None:
     np.testing.assert_allclose(limits[:, 1], 2 * beta * (2 - beta) / (beta + 2), rtol=1e-12)
     alpha = np.asarray(limits[:, 1])[:15]
     np.testing.assert_allclose(region.beta_limits(alpha)[:, 0], beta[:15], rtol=1e-12)
+    np.testing.assert_allclose(region._intervals_at(1.0, axis=1), [[0.0, 2.0 / 3.0]], atol=1e-15)
+    assert region._intervals_at(2.5, axis=1).shape == (0, 2)
+
+
+@pytest.mark.parametrize(("share", "agrees"), [(5e-7, True), (2e-6, False)])
+def test_an_outline_agrees_with_a_row_to_a_millionth_of_its_interval(
+    share: float, agrees: bool
+) -> None:
+    beta = 1.999
+    top = 2.0 * beta * (2.0 - beta) / (beta + 2.0)  # 0.001
+    loop = stable_region(gamma=0.0, delta=0.0, delay=0.0).curve.loop
+    row = stable_line(loop.triple, (0.0, beta), (1.0, 0.0))
+    drawn = np.array([[0.0, top * (1.0 + share)]])
+    assert _agree(row, drawn, 0.0, 1e-6, 1.0) == agrees
 
 
 @pytest.mark.parametrize(("delay", "largest"), [(1.0, 0.14447), (2.0, 0.06243), (3.0, 0.03478)])

@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 
 import jaxstab
 from jaxstab.region import RegionStatus
+from jaxstab.region.stable_set import GainNames, limits_text
 from jaxstab.shown import text_with_bound
 
 GOLDEN = Path(__file__).parents[1] / "data" / "golden" / "atlas-v4.h5"
@@ -113,6 +114,16 @@ def test_a_region_prints_four_lines_with_units(loop: jaxstab.HapticLoop) -> None
     assert ("none found" in lines[3]) == (not region.islands)
     assert "N/m" not in repr(region.region)
     assert len(repr(region.region).splitlines()) == 4
+
+
+@pytest.mark.parametrize(("count", "dots"), [(2, ""), (3, "; ...")])
+def test_two_islands_are_described_and_of_more_it_is_said_that_there_are(
+    count: int, dots: str
+) -> None:
+    islands = [np.array([0.5 + k, 0.25]) for k in range(count)]
+    text = limits_text("", GainNames(), (islands[0],) * 2, islands, is_reachable=True)
+    described = "alpha = 0.5 at beta = 0.25; alpha = 1.5 at beta = 0.25"
+    assert text.endswith(f"islands      {count}, the stiffest of each: {described}{dots}")
 
 
 def test_a_region_that_claims_nothing_prints_one_line() -> None:
