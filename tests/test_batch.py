@@ -14,9 +14,10 @@ import pytest
 from campaign import many as sized
 from flint import arb_poly
 from jax import jit, vmap
-from mpmath import conj, expj, mpf, polyval, workdps
+from mpmath import conj, expj, findroot, mpf, polyval, workdps
 
 import jaxstab
+from benchmarks.truth import loop as true_loop
 from benchmarks.truth.devices import DeviceLoop, Mechanism, mode
 from benchmarks.truth.filtered import FilteredLoop, average, difference, low_pass, times
 from jaxstab import Device, Filter, HapticLoop, Mode, Velocity, Verdict, limits_of, regions_of
@@ -32,8 +33,13 @@ from jaxstab.region.batch import (
     _Corners,
     _corners_of,
     _Ends,
+    _ends_of,
+    _fall,
     _linked,
     _rounding,
+    _scan,
+    _small_walls,
+    _vertex,
     _wall,
     program,
 )
@@ -160,6 +166,17 @@ def test_an_undamped_free_mass_has_the_known_limits(
 ) -> None:
     known = (6.0 - 4.0 * np.sqrt(2.0)) * np.array(MASSES) / PERIOD**2
     assert batch[1].stiffness[-len(MASSES) :] == pytest.approx(known, rel=1e-9)
+
+
+def test_regions_of_loops_of_all_kinds_are_those_of_each_and_few_are_asked_alone() -> None:
+    """Four loops are left to single answers; four more are resolved when they are scanned again."""
+    rng = np.random.default_rng(36)
+    drawn = [draw(rng) for draw in (random_loop, hard_loop) for _ in range(50)]
+    answer = regions_of(drawn)
+    assert np.sum(answer.limits.is_single) <= 4
+    for index, loop in list(enumerate(drawn))[1::4]:
+        assert not is_wrong(answer.limits, index, loop.limits())
+        assert answer.area[index] == pytest.approx(loop.region().main.area, rel=1e-8)
 
 
 MASS, DAMPING, FREQUENCY, MODAL_MASS, CUTOFF = 0.134, 0.0356, 112.0, 0.152, 57.5
@@ -602,8 +619,8 @@ def test_limits_of_random_loops_are_those_of_each(draw: Callable[..., HapticLoop
 def test_the_rounding_of_a_wall_is_no_more_than_the_bound_that_extremes_are_held_to(
     rng: np.random.Generator,
 ) -> None:
-    """Against 50 digits, on curves of windows and of slow filters."""
-    shares = []
+    """Against 50 digits, on curves of windows and of slow filters; next to z = 1 no coarser one."""
+    shares: dict[bool, list[mpf]] = {True: [], False: []}
     two = [loops(rng)[0], families()[0][0]]
     for one in loops_together._formed(loops_together.stacked(two)):
         triples = loops_together._triples([one], one.parts.hi.shape[2] - 1)
@@ -621,16 +638,37 @@ def test_the_rounding_of_a_wall_is_no_more_than_the_bound_that_extremes_are_held
                 det = (conj(stiffness) * damping).imag
                 true = (conj(damping) * base).imag / det, -(conj(stiffness) * base).imag / det
                 for k, value in enumerate(true):
-                    shares.append(abs(mpf(float(walls[k, index])) - value) / bounds[k][index])
-    assert 0.05 < max(shares) <= 1.0
+                    share = abs(mpf(float(walls[k, index])) - value) / bounds[k][index]
+                    shares[angle < 0.01].append(share)
+    assert all(0.05 < max(own) <= 1.0 for own in shares.values())
+
+
+def of_a_free_mass() -> Triples:
+    mass = HapticLoop(device_mass=0.1, device_damping=0.1, sample_time=PERIOD)
+    (one,) = loops_together._formed(loops_together.stacked([mass]))
+    triples = loops_together._triples([one], one.parts.hi.shape[2] - 1)
+    return Triples(*(jnp.asarray(part[0]) for part in triples))
+
+
+def test_ends_of_pieces_are_bracketed_to_a_256th_of_a_step_of_the_scan() -> None:
+    """The one piece of a free mass goes from z = 1 to where a root is at 1 again: alpha is 0."""
+    loop = of_a_free_mass()
+    ends, has_room = jit(lambda: _ends_of(loop, _scan(loop)))()
+    end = findroot(lambda theta: true_loop.boundary_point(theta, 0.0, PERIOD, 0.0)[0], 1.57)
+    after = int(np.searchsorted(loop.angles, float(end)))
+    step = float(loop.angles[after] - loop.angles[after - 1])
+    assert has_room
+    assert ends.exists.tolist() == [True, *[False] * (SLOTS - 1)]
+    assert ends.next_to[:, 0].tolist() == [0, after - 1]
+    assert ends.pinned[:, 0].tolist() == [True, False]
+    assert ends.branch[:, 0].tolist() == [Branch.Z_PLUS_ONE] * 2
+    assert ends.width[:, 0].tolist() == pytest.approx([0.0, step / 256.0], rel=1e-9)
+    assert abs(float(ends.theta[1, 0]) - float(end)) <= float(ends.width[1, 0]) / 2.0
 
 
 def test_a_piece_is_solved_only_if_both_of_its_ends_are() -> None:
     """From z = 1, where it is pinned, to the line of a root at 1, within its bracket alone."""
-    mass = HapticLoop(device_mass=0.1, device_damping=0.1, sample_time=PERIOD)
-    (one,) = loops_together._formed(loops_together.stacked([mass]))
-    triples = loops_together._triples([one], one.parts.hi.shape[2] - 1)
-    loop = Triples(*(jnp.asarray(part[0]) for part in triples))
+    loop = of_a_free_mass()
     is_first = jnp.arange(SLOTS) == 0
     corners = jit(lambda ends: _corners_of(loop, ends, jnp.ones(SLOTS), jnp.ones(2)))
     for theta, is_solved in ((1.5714, True), (1.45, False)):
@@ -681,3 +719,35 @@ def test_the_stable_set_is_to_the_left_of_both_pieces_at_their_corner() -> None:
     toward = jit(lambda corner: _bisector(loop, corners, corner, jnp.ones(2)))
     begin_of_1, end_of_0 = 1, SLOTS
     assert toward(begin_of_1).tolist() == toward(end_of_0).tolist() == [-1.0, 1.0]
+
+
+def test_the_top_of_a_parabola_is_no_farther_than_its_outer_points() -> None:
+    angles = np.array([0.1, 0.4, 0.5])
+    for top, expected in ((0.3, 0.3), (0.7, 0.5), (-0.2, 0.1)):
+        low, middle, high = 2.0 - 3.0 * (angles - top) ** 2
+        found = _vertex(jnp.array(angles), middle, jnp.array([low, high]))
+        assert float(found) == pytest.approx(expected, rel=1e-14)
+
+
+@pytest.mark.parametrize(("start", "is_there"), [(0.1, True), (2.9, True), (0.1, False)])
+def test_a_zero_is_found_where_newtons_steps_lead_out_of_its_limits(
+    start: float, is_there: bool
+) -> None:
+    """Of the cosine: from these angles the tangent leads to 10 and to -1."""
+    limits = jnp.array([0.0, 3.0 if is_there else 1.0])
+    values = lambda theta: (jnp.cos(theta), -jnp.sin(theta))  # noqa: E731
+    theta, is_reached = jit(partial(_fall, values))(jnp.array(start), *limits)
+    assert bool(is_reached & (theta < limits[1])) == is_there
+    assert not is_there or float(theta) == pytest.approx(np.pi / 2.0, rel=1e-14)
+
+
+@pytest.mark.parametrize(("least", "count"), [(0.0, 6), (3e-6, 0), (-0.5, 6)])
+def test_there_are_no_small_walls_where_the_smallest_are_unstable(least: float, count: int) -> None:
+    """Stable are alpha > least and beta < 1, in a set of size 1: stiffness may be least, too."""
+    loop = between_lines()
+    loop = loop._replace(ends=loop.ends.at[0, 0].set(-least))
+    walls, found = jit(_small_walls)(loop, jnp.ones(2))
+    assert int(found) == count
+    assert np.all(walls > 0.0)
+    if count:
+        assert walls[1].tolist() == [0.03, 0.01]
