@@ -418,7 +418,7 @@ def _fall(values: Any, start: Array, low: Array, high: Array) -> tuple[Array, Ar
     """Return where a function falls through 0, and whether it was reached.
 
     ``values`` gives it and its slope. It is > 0 at ``low`` and < 0 at ``high``: steps of Newton's
-    method that lead elsewhere are halvings instead.
+    method that lead out of what is between them are halvings instead.
     """
 
     def step(place: tuple[Array, Array, Array], _: None) -> tuple[Array, Array, Array]:
@@ -754,7 +754,7 @@ def _turns(loop: Triples, scan: _Scan, component: _Component, axis: Array) -> _T
         return slope[axis], bend[axis]
 
     theta, is_solved = jax.vmap(partial(_fall, rise))(start, *limits)
-    is_solved = exists & is_solved & (theta > limits[0]) & (theta < limits[1])
+    is_solved = exists & is_solved
     walls = _wall(loop, jnp.where(is_solved, theta, angles[at]))
     is_solved = is_solved & (walls[axis] >= best - _TOLERANCE * size[axis])
     is_in = is_solved & _are_in_quadrant(walls, size, axis)
@@ -851,7 +851,6 @@ def _on_axis(loop: Triples, scan: _Scan, component: _Component, axis: Array) -> 
     most = jnp.where(crosses, jnp.maximum(here[axis], there[axis]), -jnp.inf)
     best = jnp.argmax(gains)
     low, high = jnp.minimum(starts, stops)[best], jnp.maximum(starts, stops)[best]
-    limits = low - _SLACK, high + _SLACK
     falls = jnp.sign(run[best]) * jnp.sign(starts[best] - stops[best])
 
     def height(theta: Array) -> tuple[Array, Array]:
@@ -860,8 +859,8 @@ def _on_axis(loop: Triples, scan: _Scan, component: _Component, axis: Array) -> 
 
     start = starts[best] + share[best] * (stops[best] - starts[best])
     start = jnp.where(crosses[best], start, starts[best])
-    theta, is_solved = _fall(height, start, *limits)
-    is_solved = crosses[best] & is_solved & (theta > limits[0]) & (theta < limits[1])
+    theta, is_solved = _fall(height, start, low - _SLACK, high + _SLACK)
+    is_solved = crosses[best] & is_solved
     on_curve = jnp.where(is_solved, _wall(loop, theta)[axis], -jnp.inf)
     rest = jnp.max(jnp.where(is_solved & (jnp.arange(len(most)) == best), -jnp.inf, most))
     is_on_line = on_line > on_curve
