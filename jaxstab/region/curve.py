@@ -266,7 +266,7 @@ def curve_gains(c: Curve, theta: Array, low: Array | float = 0.0) -> Array:
 
     ``low`` is what rounding took from the angles.
     """
-    values = _values(c, theta, low, orders=1)[0]
+    values = _values(c, theta, 1, low)[0]
     walls = _crossed(values, values[0] / values[1])
     for held, _, (own, _) in _drawn(c, theta, low) if c.stretches else ():
         walls[:, held] = own
@@ -275,7 +275,7 @@ def curve_gains(c: Curve, theta: Array, low: Array | float = 0.0) -> Array:
 
 def gains_and_slopes(c: Curve, theta: Array, low: Array | float = 0.0) -> tuple[Array, Array]:
     """Return alpha and beta, and their derivatives by the angle."""
-    values, (base_slope, n_slope, a_slope, b_slope) = _values(c, theta, low, orders=2)
+    values, (base_slope, n_slope, a_slope, b_slope) = _values(c, theta, 2, low)
     quotient = values[0] / values[1]
     walls = _crossed(values, quotient)
     moved = (base_slope - quotient * n_slope) / values[1]
@@ -314,7 +314,7 @@ def curve_errors(c: Curve, theta: Angles) -> Array:
     shifted = np.where(is_upper, *(np.abs(c.shifted[half, :4]) @ powers for half in (1, 0)))
     is_close = chord < np.where(is_upper, *c.close[::-1, :, None])
     lost = _roundings(len(orders)) * np.where(is_close, shifted, straight)
-    values = _values(c, theta, 0.0, orders=1)[0]
+    values = _values(c, theta, 1)[0]
     quotient = values[0] / values[1]
     walls, (_, _, a, b) = np.abs(_crossed(values, quotient)), _sizes(values)
     off = _size_of_product(lost[0] + _size_of_product(quotient, lost[1]), 1.0 / values[1])
@@ -345,7 +345,7 @@ def _roundings(terms: int) -> float:
 
 def is_oriented(c: Curve, theta: Angles) -> Bool[np.ndarray, " angle"]:
     """Return where the sign of angles is that of det: the stable side is the left one."""
-    _, _, a, b = _values(c, theta, 0.0, orders=1)[0]
+    _, _, a, b = _values(c, theta, 1)[0]
     is_upper = np.abs(theta) > np.pi / 2  # zeta is on the other half, z conjugate
     upwards: np.ndarray = (_cross(a, b) > 0.0) != is_upper
     for stretch in c.stretches:
@@ -367,7 +367,7 @@ def _cross(one: Array, other: Array) -> Array:
     return one.real * other.imag - one.imag * other.real
 
 
-def _values(c: Curve, theta: Array, low: Array | float, orders: int) -> Array:
+def _values(c: Curve, theta: Array, orders: int, low: Array | float = 0.0) -> Array:
     """Return the parts (order, part, angle), of conjugate z beyond pi/2; order 1 is by theta."""
     flat, count, rows = np.ravel(theta), c.straight.shape[1], 4 * orders
     way = np.where(flat < 0.0, -1.0, 1.0)

@@ -391,7 +391,8 @@ def find_pieces(c: Curve, angles: Angles, inside: Passes) -> Pieces:
         theta[end] = theta[end] if np.isnan(angle) else np.copysign(angle, theta[end])
         walls[end] = stops[number].wall
     shared = [end for end, number in of_end.items() if np.isnan(angles[number])]
-    theta[shared] = _angles_at(c, theta[shared], walls[shared], size)
+    if shared:
+        theta[shared] = _angles_at(c, theta[shared], walls[shared], size)
     lone = np.array([end for end in range(2 * count) if end not in of_end], int)
     following, is_left = _corners(c, ends, lone, theta, walls, size)
     opened = [walls[end] for end in is_left]
@@ -435,7 +436,7 @@ def _angles_at(
     """Return where the curve comes closest to walls, next to these angles, by Newton's method."""
     steps = 3
     best, least = theta, np.full(theta.shape, np.inf)
-    for _ in range(steps + 1 if theta.size else 0):
+    for _ in range(steps + 1):
         here, slopes = gains_and_slopes(c, theta)
         away, speed = (walls.T - here) / size[:, None], slopes / size[:, None]
         distance = np.sum(away**2, axis=0)
