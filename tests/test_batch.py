@@ -19,7 +19,14 @@ from mpmath import conj, expj, findroot, mpf, polyval, workdps
 import jaxstab
 from benchmarks.truth import loop as true_loop
 from benchmarks.truth.devices import DeviceLoop, Mechanism, mode
-from benchmarks.truth.filtered import FilteredLoop, average, difference, low_pass, times
+from benchmarks.truth.filtered import (
+    FilteredLoop,
+    average,
+    butterworth,
+    difference,
+    low_pass,
+    times,
+)
 from jaxstab import Device, Filter, HapticLoop, Mode, Velocity, Verdict, limits_of, regions_of
 from jaxstab.batches import ahead
 from jaxstab.loop import many as loops_together
@@ -265,8 +272,8 @@ def test_a_turn_between_a_corner_and_the_nearest_angle_of_the_scan_is_not_passed
         assert many[index].verdict(wall[0] * (1.0 + 1e-7), wall[1]) == Verdict.UNSTABLE
 
 
-@pytest.mark.campaign
-def test_the_area_of_a_region_with_three_pieces_is_that_of_its_loop() -> None:
+def with_three_pieces() -> list[HapticLoop]:
+    """Loops whose region has three pieces of the curve, of about one mass."""
     loop = HapticLoop(
         device_mass=0.0346,
         device_damping=0.00655,
@@ -276,12 +283,31 @@ def test_the_area_of_a_region_with_three_pieces_is_that_of_its_loop() -> None:
         sample_time=PERIOD,
         velocity=Velocity.butterworth(22.2317, order=4),
     )
-    masses = loop.device_mass * (1.0 + 1e-4 * np.arange(COUNT))
-    answer = regions_of(loop, device_mass=masses)
+    return [replace(loop, device_mass=0.0346 * (1.0 + 1e-4 * k)) for k in range(COUNT)]
+
+
+@pytest.mark.campaign
+def test_the_area_of_a_region_with_three_pieces_is_that_of_its_loop() -> None:
+    many = with_three_pieces()
+    answer = regions_of(many)
     assert not answer.limits.is_single.any()  # else a wrong corner may be noticed and replaced
     for index in range(0, COUNT, 18):
-        region = replace(loop, device_mass=float(masses[index])).region()
+        region = many[index].region()
         assert answer.area[index] == pytest.approx(region.main.area, rel=1e-6)
+
+
+def test_vertices_of_an_outline_have_roots_at_both_of_their_angles() -> None:
+    """By polynomials from balls; at a corner the angles are those of two roots."""
+    loop, *others = with_three_pieces()
+    stacks = loops_together.stacked([loop, *others])
+    ((_, _, (_, outline)),) = loops_together.resolved(stacks, outlines=True)
+    velocity = times(difference(1), butterworth(22.2317 * PERIOD, 4))
+    balls = FilteredLoop(**loop.slice, velocity=velocity, position=average(1)).balls()
+    for wall, angles in zip(outline.vertices[0].tolist(), outline.roots[0], strict=True):
+        falling = [float(c.mid()) for c in balls.polynomial(*wall)]
+        assert np.max(np.abs(np.polyval(falling, np.exp(1j * angles)))) < 1e-13 * np.sum(
+            np.abs(falling)
+        )
 
 
 def families() -> list[list[HapticLoop]]:
