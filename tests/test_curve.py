@@ -176,6 +176,8 @@ def test_a_curve_that_passes_a_mode_in_an_instant_is_drawn_out() -> None:
     step = 1e-6 * stretch.half_width
     ahead, behind = curve_gains(c, size + step), curve_gains(c, size - step)
     np.testing.assert_allclose(slopes, (ahead - behind) / (2.0 * step), rtol=1e-5)
+    rounding = 8.0 * (stretch.series.shape[1] + 1) * 2.0**-53  # of each side of the quotients
+    assert np.all(curve_errors(c, size) >= (2.0 - 1e-9) * rounding * np.abs(gains))
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from jaxstab.point.fields import _mode, _outwards, _rounded_up
 from jaxstab.point.radius import radius_error
 from jaxstab.point.traced_radius import _fitted
 from jaxstab.point.verdicts import is_plant_lost
-from jaxstab.region.pieces import all_inside
+from jaxstab.region.pieces import _is_clear, all_inside
 
 
 def test_batched_counts_of_roots_are_those_of_numpys_roots() -> None:
@@ -27,6 +27,14 @@ def test_batched_counts_of_roots_are_those_of_numpys_roots() -> None:
     inside = np.abs(roots).max(axis=0) < 1.0
     assert 50 < inside.sum() < 350
     assert all_inside(falling).tolist() == inside.tolist()
+
+
+def test_a_polynomial_next_to_the_circle_is_doubted_whatever_is_asked_beside_it() -> None:
+    """pieces: those of which the first step decides are open no more; others still are."""
+    pairs = np.array([1.0 - 1e-14, 0.5, 3.0]) * np.exp(1j * np.array([1.0, 2.0, 0.4]))
+    roots = np.stack([pairs, pairs.conj(), np.full(3, 0.7)])
+    falling = np.stack([np.poly(column).real for column in roots.T], axis=1)
+    assert _is_clear(falling).tolist() == [False, True, True]
 
 
 @pytest.mark.parametrize(

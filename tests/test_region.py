@@ -92,6 +92,15 @@ def test_without_hand_and_delay_the_region_is_the_known_one() -> None:
     assert region._intervals_at(2.5, axis=1).shape == (0, 2)
 
 
+@pytest.mark.parametrize(("radius", "is_empty"), [(0.3, True), (0.587, True), (0.588, False)])
+def test_no_wall_lets_a_free_mass_decay_faster_than_the_known_rate(
+    radius: float, is_empty: bool
+) -> None:
+    """The smallest spectral radius is 4^(1/3) - 1 = 0.5874."""
+    region = stable_region(gamma=0.0, delta=0.0, delay=0.0, radius=radius)
+    assert region.status == (RegionStatus.EMPTY if is_empty else RegionStatus.COMPLETE)
+
+
 @pytest.mark.parametrize(("share", "agrees"), [(5e-7, True), (2e-6, False)])
 def test_an_outline_agrees_with_a_row_to_a_millionth_of_its_interval(
     share: float, agrees: bool
@@ -328,6 +337,7 @@ def test_a_region_without_stable_walls_is_empty() -> None:
     loop = DeviceLoop.drawn(np.random.default_rng([20121120, 861]))
     region = loop.region()
     assert region.is_empty
+    assert region.loops == 0
     assert region.points.shape == (0, 2)
     assert len(region.corners) == len(region.branch) == 0
     assert np.all(np.isnan(region.max_alpha))
