@@ -91,7 +91,8 @@ def stable_pair(
         return limit, other
     inwards = -1 if way == ROUND_FLOOR else 1
     unit = Decimal(inwards).scaleb(Decimal(limit).adjusted() + 1 - digits[0])
-    lowered = [_EXACT.add(Decimal(limit), count * unit) for count in (0, 1, 2, 5)]
+    counts = (0, 1, 2, 5) if limit else (0,)  # 0 has no last digit to move
+    lowered = [_EXACT.add(Decimal(limit), count * unit) for count in counts]
     limits = [rounded_text(value, digits[0], way) for value in lowered]
     limits = [text for text in limits if (float(text) < 0.0) == (limit < 0.0)]
     for count in range(digits[1], MOST_DIGITS + 1):

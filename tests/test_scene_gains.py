@@ -239,6 +239,22 @@ def test_54_no_gains_are_stable_beyond_the_limits(kind: str) -> None:
                 )
 
 
+def test_masses_that_are_all_stable_have_a_least_one_of_zero() -> None:
+    """Tustin's rule: with a mass of 0 a root is at -1, with any mass above it is inside."""
+    table = ROBOT | {"environment": 5e3, "sample_time": 2e-3, "rule": "trapezoid"}
+    for safety in (1.0, 0.5):
+        answer = answered(loop(table, safety=safety))
+        assert re.search(r"least mass +0 kg\n +at damping", str(answer))
+        assert answer.all_stable
+    at = answer.as_json()["mass"]["at_damping"]
+    low, *_ = (
+        jaxstab.admittance(**{k: v for k, v in table.items() if k != "kind"})
+        .intervals(damping=at)
+        .intervals[0]
+    )
+    assert low.value == 0.0
+
+
 def test_54_a_safety_moves_all_limits_to_the_stable_side() -> None:
     for tables in (loop(JOINT | {"substeps": 4}), loop(ROBOT)):
         plain = answered(tables).as_json()

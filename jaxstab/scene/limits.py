@@ -113,6 +113,8 @@ class StableGains:
             pair = stable_pair(value, at, (4, 6), allows, row, way)
         is_proved = isinstance(pair[0], Printed)
         words = self.certainty if is_proved else "not proved" if isfinite(value) else None
+        if value == 0.0 and not (is_proved or is_largest):  # all above 0
+            words, is_proved = None, True
         values: dict[str, Any] = dict(zip(names, pair, strict=True))
         return GainAnswer(values | ({"certainty": words} if words else {}), self.formats, is_proved)
 
