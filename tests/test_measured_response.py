@@ -225,6 +225,9 @@ def test_no_gain_and_no_largest_gain_make_no_warning() -> None:
         largest = loop.frequency_margins(*wall).largest_gain
         assert float(largest.value) == inf
         assert np.isnan(largest.frequency)
+    assert loop.stiffness_intervals(0.5).intervals[0].high.value == inf
+    limits = loop.limits()
+    assert (limits.stiffness, limits.damping) == (inf, inf)
 
 
 def test_a_response_of_python_control_is_taken() -> None:
@@ -367,6 +370,26 @@ def test_limits_and_check_answer_by_the_file_of_a_response(scene: Path) -> None:
     hard = run("check", scene, "--wall", "hard", 3000.0, 10.0)
     assert hard.exit_code == 1
     assert re.search(r"wall hard +3000 N/m at 10 N s/m: unstable\n", hard.stdout)
+
+
+@pytest.mark.parametrize(
+    ("column", "changed", "words"),
+    [
+        (2, lambda degrees: np.unwrap(np.radians(degrees)), "give phases in degrees"),
+        (1, lambda gain: 20.0 * np.log10(gain), "gain is -7.86"),
+    ],
+)
+def test_radians_and_decibels_are_refused(
+    column: int, changed: Any, words: str, scene: Path
+) -> None:
+    file = scene.parent / "sweep.csv"
+    columns = np.loadtxt(file, delimiter=",", skiprows=1)
+    columns[:, column] = changed(columns[:, column])
+    np.savetxt(file, columns, delimiter=",", header="frequency,gain,phase", comments="")
+    answer = run("check", scene)
+    assert (answer.exit_code, answer.stdout) == (2, "")
+    assert_one_sentence(answer.stderr)
+    assert words in answer.stderr
 
 
 @pytest.mark.parametrize(

@@ -395,8 +395,8 @@ class HapticLoop(LoopParameters, TwoGains):
 
         Returns:
             WorstHand; UNDECIDED where sampled hands are stable, but others could not be proved. A
-            ``device`` is proved if it is a mass with or without modes and actuators, a grip has a
-            spring, and grip or hand a damper.
+            ``device`` is proved if a mass is at its handle, a grip has a spring, and grip or hand a
+            damper.
 
         Raises: see ``jaxstab.conventions``; ValueError also if a range is out of order, or a
         ``device`` has several hands, or no mass that could vary.

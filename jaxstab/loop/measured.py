@@ -43,6 +43,7 @@ _FULL = 0.98  # of half of the sampling rate: a response up to there has no rest
 _WHOLE = 1e-9  # of a sample
 _SHARES = np.array([1e-3, 0.01, 0.05, 0.15, 0.3, 0.5, 0.7, 0.85, 0.95, 0.99, 0.999])
 _HALVINGS = 40  # of a gap between walls that were tried
+_GAPS = 6  # that gains are turned up through to a limit
 
 Values = Complex128[np.ndarray, " frequency"]
 Wall = Float64[np.ndarray, "2"]
@@ -243,6 +244,9 @@ class MeasuredLoop(NamedTuple):
         found = []
         for axis in (0, 1):
             best = int(np.argmax(walls[:, axis]))
+            if np.isinf(walls[best, axis]):
+                found.append(walls[best])
+                continue
             ends = ratios[np.clip([best - 1, best + 1], 0, len(ratios) - 1)]
 
             def less(ratio: float, axis: int = axis) -> float:
@@ -258,13 +262,14 @@ class MeasuredLoop(NamedTuple):
     def _reached(self, ratio: Any) -> Wall:
         """The last wall (K, B) with log(B/K) = ratio of the first stable ones; 0 if none is."""
         origin, way = np.zeros(2), np.array([1.0, np.exp(ratio)])
-        tried, codes = self._tried(origin, way, 6)
+        tried, codes = self._tried(origin, way, _GAPS)
         stable = np.flatnonzero(codes == Verdict.STABLE)
         if not len(stable) or np.any(codes[: stable[0]] == Verdict.UNSTABLE):
             return origin
         other = np.flatnonzero(codes[stable[0] :] != Verdict.STABLE) + stable[0]
         if not len(other):
-            return way * tried[-1]
+            is_all = np.sum(self._crossings(origin, way) > 0.0) <= _GAPS
+            return way * (inf if is_all else tried[-1])
         return way * self._last(origin, way, Verdict.STABLE, *tried[other[0] - 1 : other[0] + 1])
 
     def frequency_margins(self, stiffness: Numbers, damping: Numbers) -> MeasuredMargins:

@@ -249,6 +249,7 @@ class Simulated(InSteps):
 # ---------------------------------------------------------------------------- measured responses
 _FEWEST = 8  # frequencies
 _SIGN = 70.0  # degrees from those of a mass, a damper and a spring: the axis has the other sign
+_FLAT = 30.0  # degrees, more than phases in radians have
 
 
 @dataclass(frozen=True)
@@ -312,6 +313,12 @@ def checked_response(frequency: Any, response: Any, error: Any) -> MeasuredRespo
             "slow forces by 0 (a spring) to -180 degrees (a mass); give force and position of one "
             "sign, and begin with lower frequencies."
         )
+    turn = float(np.degrees(np.max(abs(np.angle(values)))))
+    if turn < _FLAT and np.ptp(np.log10(abs(values))) > 1.0:
+        raise ValueError(
+            f"the response turns by {turn:.3g} degrees at most while its gain changes more than "
+            "tenfold, as that of no device; give phases in degrees, not in radians."
+        )
     return MeasuredResponse(*(tuple(each.tolist()) for each in (frequencies, values, errors)))
 
 
@@ -322,7 +329,8 @@ def _columns(file: "str | PathLike[str]") -> tuple[Any, Any, Any]:
     if {"real", "imaginary"} <= table.keys():
         response = table["real"] + 1j * table["imaginary"]
     elif {"gain", "phase"} <= table.keys():
-        response = table["gain"] * np.exp(1j * np.radians(table["phase"]))
+        gain = checked("gain", table["gain"], 0.0, unit="m/N")
+        response = gain * np.exp(1j * np.radians(table["phase"]))
     else:
         raise ValueError(
             f"{file} has no columns real and imaginary (m/N), nor gain (m/N) and phase (degrees), "
