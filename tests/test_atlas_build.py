@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from atlases import SMALL, edited, small_file, write_small
@@ -229,6 +230,16 @@ def test_verification_finds_wrong_limits_and_errors(
     found = {each.name: each.passed for each in verify_atlas(path, 200)}
     assert found["file"] is True
     assert found[check] is False
+
+
+def test_damaged_fields_are_called_so_and_not_the_file(tmp_path: Path) -> None:
+    path = write_small(tmp_path)
+    with h5py.File(path) as file:
+        place = file["fields/outside"].id.get_chunk_info(0).byte_offset
+    whole = path.read_bytes()
+    path.write_bytes(whole[:place] + bytes([whole[place] ^ 0xFF]) + whole[place + 1 :])
+    found = {each.name: each.passed for each in verify_atlas(path, 200)}
+    assert found == {"file": True, "limits": True, "answers": True, "fields": False}
 
 
 def test_the_command_builds_verifies_and_describes(tmp_path: Path) -> None:

@@ -231,16 +231,17 @@ def verify_atlas(path: str | PathLike[str], sample: int = 1000) -> Iterator[Chec
     limit must be stable, and one just outside not. OSError: the file is missing or unreadable.
     """
     walls = 16  # of a slice whose fields are verified
-    chance = np.random.default_rng(0)
+    chance, name = np.random.default_rng(0), "file"
     try:
         atlas = open_atlas(path)
-        yield Check("file", True, f"whole, of version {file.SCHEMA_VERSION} of the format")
+        yield Check(name, True, f"of version {file.SCHEMA_VERSION} of the format, limits whole")
         wrong, count = _wrong_limits(atlas.table, atlas.filters, sample, chance)
         yield Check("limits", wrong == 0, f"{wrong} of {count} are off by more than {_CLOSE:g}")
         found = asked_at_random(atlas.table, atlas.filters, seed=1)
         words = f"{found['tested_wrong']} of {found['tested_points']} random walls are wrong"
         yield Check("answers", found["tested_wrong"] == 0, words)
         if atlas.has_fields:
+            name = "fields"
             with file.opened(Path(path)) as image:
                 group = image[file.FIELDS]
                 datasets = {v.name: file.checked_dataset(group, v) for v in file.FIELD_VARIABLES}
@@ -248,9 +249,9 @@ def verify_atlas(path: str | PathLike[str], sample: int = 1000) -> Iterator[Chec
                 off = sum(
                     wrong_nodes(datasets, atlas.filters, walls, chance) for _ in range(slices)
                 )
-            yield Check("fields", off == 0, f"{off} of {slices * walls} nodes are wrong")
+            yield Check(name, off == 0, f"{off} of {slices * walls} nodes are wrong")
     except ValueError as error:
-        yield Check("file", False, str(error))
+        yield Check(name, False, str(error))
 
 
 def _wrong_limits(

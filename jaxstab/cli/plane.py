@@ -84,7 +84,7 @@ def info(file: Path) -> None:
     help="About how many limits and nodes to compute again.",
 )
 def verify(file: Path, sample: int) -> None:
-    """Check that an atlas is whole, and right at a random sample of points."""
+    """Check that an atlas can be read, and is right at a random sample of points."""
     from jaxstab.atlas.build import verify_atlas
 
     keep_programs()
