@@ -423,7 +423,7 @@ def check(in_full: bool, certificate: Path | None, **given: Any) -> int:
     help="Simulate a map of walls around the stable ones into this netCDF-4 file instead.",
 )
 @click.option("--count", type=click.IntRange(2), help="Walls along each axis of it; default: 60.")
-@click.option("--frictions", help="LOW:HIGH:COUNT in N: its third axis.")
+@click.option("--frictions", help="LOW:HIGH:COUNT or V,V,... in N: its third axis.")
 @executor_options
 def contact(output: Path | None, count: int | None, frictions: str | None, **given: Any) -> int:
     """Simulate how the device of a scene meets each wall: does it rest, bounce or buzz?
