@@ -598,6 +598,8 @@ def test_a_safety_that_is_not_applied_is_said() -> None:
             "answers.limit is unknown; did you mean .limits",
         ),
         ({"device.mass": [0.1]}, {"answers": ["verdict"], "walls": {}}, "is of walls; give walls"),
+        ({"hand.stiffness": stats.norm}, {}, "hand.stiffness is <scipy.*such as scipy.stats.norm"),
+        ({"device.mass": [0.1]}, {"seed": -1}, "seed is -1; give a whole number from 0 to"),
         (
             {"device.mass": [0.1]},
             {"samples": 0},

@@ -322,7 +322,9 @@ def plan_study(
     if samples is None:  # those that take a minute
         points = prod(len(own) for own in given.values() if not is_distribution(own))
         samples = max(1, min(10_000, int(60.0 / (points * seconds))))
-    columns, notes = _columns(source, given, checked_count("samples", samples, 1, 10_000_000), seed)
+    samples = checked_count("samples", samples, 1, 10_000_000)
+    seed = checked_count("seed", seed, 0, 2**64)
+    columns, notes = _columns(source, given, samples, seed)
     notes = source.check(columns) + notes
     notes += [f"{key}: drawn from the range of the scene, {own}." for key, own in ranges.items()]
     columns, about, begin = _part_of(columns, part, [source.table, wanted, gains])
@@ -400,7 +402,7 @@ class Column:
 
 def is_distribution(given: Any) -> bool:
     """True if values can be drawn from it."""
-    return isinstance(given, Column) or hasattr(given, "ppf")
+    return isinstance(given, Column) or (hasattr(given, "ppf") and hasattr(given, "kwds"))
 
 
 def words_of(given: Any) -> str:
