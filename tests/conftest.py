@@ -44,7 +44,7 @@ _forget_at = 5 << 27  # bytes of a process, from which on it forgets what it has
 
 def pytest_configure(config: pytest.Config) -> None:
     """Name the folder of compiled programs to all processes; workers have it from their parent."""
-    if "PYTEST_XDIST_WORKER" not in os.environ:
+    if "PYTEST_XDIST_WORKER" not in os.environ and config.pluginmanager.has_plugin("cacheprovider"):
         jaxstab.use_compilation_cache(config.cache.mkdir("programs"))
 
 
