@@ -11,7 +11,8 @@ from scipy.linalg import expm
 from benchmarks.truth import devices, filtered
 from benchmarks.truth.random_loops import device_of
 from jaxstab import Device, Hand, HandRange, HapticLoop, Mode, Velocity, Verdict
-from jaxstab.boxes.plant import Arms, with_parts
+from jaxstab.boxes.hands import unproved_members
+from jaxstab.boxes.plant import Arms, HeldDevice, with_parts
 from tests.campaign import many
 
 PERIOD = 1e-3
@@ -332,6 +333,22 @@ def test_a_wall_without_stiffness_and_one_that_pulls_are_not_called_stable() -> 
     held = replace(HANDS, stiffness=(100.0, 300.0))  # behind the grip at least 95.2 N/m
     assert LOOP.worst_hand(held, -90.0, 5.0).verdict == Verdict.STABLE
     assert LOOP.worst_hand(held, -96.0, 5.0).verdict == Verdict.UNSTABLE
+
+
+def test_a_free_device_without_stiffness_has_a_root_at_1_that_boxes_leave() -> None:
+    """p(1) is 0 where nothing has a stiffness, whatever is damped; a little of it is enough."""
+    loop = HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=PERIOD)
+    hands, fixed = HandRange(damping=(5.0, 5.0)), ((0.25, 0.25), (0.0, 0.0))
+    for stiffness, is_proved in ((0.0, False), (1e-3, True)):
+        wall = np.array([[stiffness, 5.0]])
+        left = unproved_members(loop.held_device, loop, hands, *fixed, wall)
+        assert (not len(left)) == is_proved
+
+
+def test_a_soft_grip_is_a_grip() -> None:
+    soft = Hand.mass_spring_damper(0.1).with_grip(stiffness=0.1, damping=4.0)
+    device = HeldDevice.from_device(Device.mass_spring_damper(0.25).held_by(soft), PERIOD)
+    assert device.grip == pytest.approx((0.1 * PERIOD**2, 4.0 * PERIOD))
 
 
 def test_proofs_hold_for_hands_that_are_looked_for() -> None:

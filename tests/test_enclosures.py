@@ -15,6 +15,7 @@ import pytest
 from jaxstab import Filter, Velocity
 from jaxstab.boxes.enclosures import (
     LinearModel,
+    Moving,
     ParameterBoxes,
     phasor,
     quotients,
@@ -28,9 +29,10 @@ from jaxstab.boxes.plant import (
     Extent,
     HeldDevice,
     _Aliases,
+    _polynomial,
 )
 from jaxstab.model.device.parts import Ports, Shapes
-from jaxstab.rounding import ELEMENTARY, LINEAR_MODEL
+from jaxstab.rounding import ELEMENTARY, LINEAR_MODEL, PARAMETER
 
 SHARP = 1.5
 ROUNDED = 1.0 + 1e-12  # the bounds are float64, too
@@ -169,6 +171,27 @@ def test_roundings_are_counted_with_the_rest() -> None:
     rest = (x * 3.0).rest[0]
     assert LINEAR_MODEL <= rest <= 1.01 * LINEAR_MODEL * 1.003
     assert phasor(model(0.0, 0.0, 0.0, 1.0)).rest[0] == ELEMENTARY
+
+
+@pytest.mark.parametrize("x", [0.5, 8.0])
+def test_what_coefficients_were_rounded_by_is_left_beside_the_arithmetic(x: float) -> None:
+    """Each of them may be wrong by ``PARAMETER`` of itself; in the derivative, too."""
+    falling, theta = (1.0, -2.0, 0.5, 3.0), model(x, 0.0, 0.0, 0.0)
+    moving = Moving(theta, theta.constant(1.0))
+    exact = moving * 0.0 + falling[0]  # by Horner's rule, of the coefficients as they are
+    for c in falling[1:]:
+        exact = exact * moving + c
+    made, alone = _polynomial(falling, moving), _polynomial(falling, theta)
+    sizes = [(k, abs(c)) for k, c in enumerate(falling[::-1])]
+    value = sum(c * x**k for k, c in sizes)
+    rate = sum(k * c * x ** (k - 1) for k, c in sizes if k)
+    for known, arithmetic, most in (
+        (alone, exact.value, value),
+        (made.value, exact.value, value),
+        (made.rate, exact.rate, rate),
+    ):
+        left = known.rest[0] - arithmetic.rest[0]
+        assert left == pytest.approx(PARAMETER * most, rel=1e-6)
 
 
 PATCHES = [0.01, 0.2, 0.6, 1.3, 2.2, 2.95, 3.12]

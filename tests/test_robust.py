@@ -78,7 +78,7 @@ def test_the_passive_triangle_lies_in_the_robust_region_and_is_smaller():
 
 
 def test_without_damping_only_the_origin_is_robust():
-    region = robust_region(gamma=(0.0, 9.0), delta=(0.0, 0.0), delay=0.0)
+    region = robust_region(gamma=(0.0, 9.0), delta=(0.0, 0.0), delay=0.0, tolerance=1e-3)
     assert region.status == RobustStatus.EMPTY
     assert len({status.words for status in RobustStatus}) == 4
     assert region.outline.shape == (0, 2)
@@ -103,6 +103,17 @@ def test_walls_that_are_unstable_for_all_hands_alike_are_not_proved():
     assert sample.unproved(square).tolist() == sample.hands[:1].tolist()
 
 
+def test_of_hands_that_are_not_proved_those_at_the_ends_join_the_sample(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The hands of the least and the largest gamma, and of the least and the largest delta."""
+    hands = np.array([[0.3, 0.2], [0.1, 0.3], [0.4, 0.6], [0.7, 0.5], [0.5, 0.1], [0.6, 0.9]])
+    members = np.column_stack([np.zeros(6), hands, np.ones(6), np.zeros(6)])
+    monkeypatch.setattr(polygons, "unproved_members", lambda *_, **__: members)
+    found = failures(np.array([[0.1, 0.1]]), (0.0, 1.0), (0.0, 1.0), 0.0, filters=None)
+    assert found.tolist() == [[0.1, 0.3], [0.5, 0.1], [0.6, 0.9], [0.7, 0.5]]
+
+
 @pytest.mark.campaign
 def test_a_verdict_on_a_wall_is_for_all_hands():
     region = robust_region(**by_name(*RANGES["haptic hands"]))
@@ -122,7 +133,7 @@ def test_a_verdict_on_a_wall_is_for_all_hands():
         ({"delta": (0.0, -1.0)}, "delta is -1"),
         ({"gamma": (0.0, float("nan"))}, "gamma is nan"),
         ({"delay": -1.0}, "delay is -1"),
-        ({"tolerance": 0.0}, "tolerance is 0"),
+        ({"tolerance": 0.9e-3}, "tolerance is 0"),
     ],
 )
 def test_robust_region_refuses_bad_input(arguments, message):
