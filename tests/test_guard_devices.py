@@ -29,6 +29,7 @@ from jaxstab import (
     Verdict,
     build_guard,
 )
+from jaxstab.boxes import plant
 from jaxstab.boxes.enclosures import HAND, THETA, ParameterBoxes
 from jaxstab.boxes.plant import (
     _FAST,
@@ -266,6 +267,67 @@ def assert_first_rows_hold(seed: int, boxes: int, *, moves: bool = False) -> int
 def test_31_10_walls_of_a_first_row_take_energy() -> None:
     """Lemma B20, where neither the device nor the hand need be damped, against balls and mpmath."""
     assert sum(assert_first_rows_hold(seed, 200) for seed in range(200, 212)) > 10
+
+
+FAST = Device.modes([replace(MODE, frequency=1200.0)], mass=0.25, damping=0.5)
+
+
+@pytest.mark.parametrize("device", [DEVICE, FAST], ids=["actuator and grip", "fast mode"])
+def test_what_the_walls_of_a_first_row_add_is_held_by_its_models(
+    monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator, device: Device
+) -> None:
+    """H G conj(N A) D, A of the actuators, per unit of the multiple, by balls and mpmath.
+
+    The aliases of a mode above the sampling rate are followed, even at low frequencies.
+    """
+    mass, delay, top, limit = (0.24, 0.26), (0.9, 1.1), 50.0, 3000.0
+    corners = np.full((2, 2), top), np.broadcast_to([0.0, limit], (2, 2, 2))
+    grid = Grid(np.array(mass), np.array(delay), *corners)
+    given, rising = [], plant._rising
+    monkeypatch.setattr(plant, "_rising", lambda *of: given.append(of[0]) or rising(*of))
+    center = rng.uniform([0, 0, 0, 0.0, 0.0, 0.5, 0.1], [1, 1, 1, 0.3, 200.0, 4.0, 0.25], (6, 7)).T
+    boxes = boxes_at(center, np.full((7, 6), 1e-6))
+    loop = replace(LOOP, device=device)
+    grid_boxes(device, loop, HANDS, grid)._grow(boxes)
+    (((damper, _), (most, _)),) = given
+    held = HeldDevice.from_device(device, PERIOD)
+    for box, (heavy, late, _, *arm, theta) in enumerate(center.T.tolist()):
+        own_mass, own_delay = mass[0] + 0.02 * heavy, 0.9 + 0.2 * late
+        own = with_hand(loop, own_mass, own_delay * PERIOD, Arms(*arm))
+        scaled = Arms(arm[0], arm[1] * PERIOD**2, arm[2] * PERIOD)
+        above, below = held.parts(1j * theta, own_mass, scaled)
+        factor = np.conj(complex(above * held.lag(1j * theta))) * complex(below)
+        for model, stiffness in ((damper, 0.0), (most, limit)):
+            true = (complex(true_value(own, (stiffness, top), theta)) - 1.0) * factor
+            assert abs(complex(model.centre[box]) - true) <= model.rest[box] < 1e-4 * abs(true)
+
+
+@pytest.mark.parametrize("mass", [0.25, 0.002])
+def test_what_aliases_take_from_the_slope_of_slow_boxes_is_nearly_attained(
+    monkeypatch: pytest.MonkeyPatch, mass: float
+) -> None:
+    """|H D R| at the largest angle: R is a sum over aliases, which a quarter of a sample aligns."""
+    damping, (top, limit), delay, end = 0.2, (5.0, 300.0), 0.25, 0.02
+    device = Device.mass_spring_damper(mass, damping=damping)
+    corners = np.full((2, 2), top), np.broadcast_to([0.0, limit], (2, 2, 2))
+    grid = Grid(np.array([mass, mass]), np.array([delay, delay]), *corners)
+    proof = grid_boxes(device, HapticLoop(device=device, sample_time=PERIOD), HandRange(), grid)
+    center, half = np.full((7, 1), 1e-9), np.full((7, 1), 1e-9)
+    center[[2, 6]], half[6] = [[1.0], [0.5 * end]], 0.5 * end
+    given, rising = [], plant._rising
+    monkeypatch.setattr(plant, "_rising", lambda *of: given.append(of[0]) or rising(*of))
+    for method in (proof._are_slow, proof._grow_slowly):
+        method(boxes_at(center, half))
+    turns = np.array([k for k in range(-2000, 2001) if k])
+    s, angle = 1j * end, end + 2.0 * np.pi * turns
+    of_plant = 1.0 / ((1j * angle) ** 2 * mass + 1j * angle * damping * PERIOD)
+    aliases = np.sum(of_plant * np.exp(-2j * np.pi * turns * delay) / angle)
+    taken = abs(aliases * (s**2 * mass + s * damping * PERIOD))
+    damper = top * PERIOD * (1.0 - np.exp(-s))
+    walls = abs(damper), abs(damper + limit * PERIOD**2)
+    for rates in given:
+        for (_, others), wall in zip(rates, walls, strict=True):
+            assert wall * taken <= others[0] <= 2.0 * wall * taken
 
 
 def test_discs_of_late_forces_are_held_by_boxes() -> None:

@@ -193,7 +193,7 @@ class _Sample:
 
     def _limits(self, rows: Rows) -> tuple[Rows, Rows]:
         limits = np.stack([np.asarray(region.alpha_limits(rows)) for region in self.regions])
-        limits = np.where(np.isnan(limits), [np.inf, -np.inf], limits)
+        limits = np.where(np.isnan(limits), np.inf, limits)  # no left end: no wall of the row
         return limits[..., 0].max(axis=0), limits[..., 1].min(axis=0)
 
 
