@@ -60,6 +60,12 @@ def test_a_step_rounds_by_no_more_than_lemma_v3_says() -> None:
         dropped = abs(v0 - ratio * (g + u2))
         assert away[0] + 2 * away[1] <= Fraction(float(after.head_error[k]))
         assert sum(away[2:]) + dropped <= Fraction(float(after.error[k]))
+        modulus, small = abs(ratio), abs(g) + abs(v1) + abs(v2)
+        sizes = sum(map(abs, (g + u2, v0, u1, u2, v2)))
+        of_head = abs(u1) + 2 * abs(u2) + 2 * modulus * (abs(v1) + 2 * abs(v2))
+        lemma = float(UNIT * (small + 4 * modulus * sizes)), float(UNIT * of_head)
+        bounds = after.error[k], after.head_error[k]
+        assert bounds == pytest.approx(lemma, rel=1e-12, abs=0.0)
 
 
 @pytest.mark.parametrize("is_alone", [False, True])
@@ -72,17 +78,19 @@ def test_a_ratio_of_jax_is_right_to_three_roundings(is_alone: bool) -> None:
         assert abs(Fraction(c) - true) <= 3 * Fraction(UNIT) * abs(true)
 
 
-def test_values_at_minus_one_are_within_their_errors() -> None:
-    """For large gains, at which these values are large."""
+@pytest.mark.parametrize("plant_error", [0.0, 1e-9])
+def test_values_at_minus_one_are_within_their_errors(plant_error: float) -> None:
+    """For large gains, at which these values are large, and N(-1) that is wrong by its error."""
     rng = np.random.default_rng(4)
     gamma, delta = rng.uniform(0.1, 9.0, (2, 40))
     plant = float_plant(gamma, delta, np.zeros(40), is_fractional=False)
+    plant = plant._replace(error=plant.error + plant_error)
     alpha, beta = 10 ** rng.uniform(2.0, 5.0, (2, 40))
     degree = len(plant.stiff) + 1
     ends = _ends(alpha, beta, gamma, plant, degree)
     for k in range(40):
         true = truth.plant(float(gamma[k]), float(delta[k]), 0)
-        force = true.n2 - true.n1 + true.n0
+        force = true.n2 - true.n1 + true.n0 + plant_error * float(plant.size[k])
         value = 1 - true.d1 + true.d0 + force * (float(alpha[k]) + 2 * float(beta[k]))
         assert abs(ends.at_minus_one[k] - value) <= ends.at_minus_one_error[k]
 
@@ -123,6 +131,8 @@ def test_coefficients_of_small_circles_are_within_their_errors(
             true = [Fraction(float(row[k])) / r**n for n, row in zip(places, rows, strict=True)]
             away = (abs(a - Fraction(float(b[k]))) for a, b in zip(true, made, strict=True))
             assert sum(away) <= Fraction(float(bound[k]))
+            lemma = (2 * places[-1] + 8) * UNIT * float(sum(map(abs, true)))
+            assert bound[k] == pytest.approx(lemma, rel=1e-9, abs=0.0)
             turned = sum(value * (-1) ** n for n, value in zip(places, true, strict=True))
             for end, value in ((ends[:2], sum(true)), (ends[2:], turned)):
                 assert abs(Fraction(float(end[0][k])) - value) <= Fraction(float(end[1][k]))
