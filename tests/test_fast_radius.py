@@ -2,6 +2,7 @@
 
 import csv
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -255,6 +256,54 @@ def test_a_loop_of_long_steps_has_about_the_dominant_root(
     poles = jaxstab.closed_loop_poles(alpha, beta, gamma=1e-3, delta=0.015, delay=delay)
     root = poles[:, 0].real - 1.0 + 1j * np.abs(poles[:, 0].imag)
     assert np.mean(np.abs(guess - root) < 0.1 * np.abs(root)) > 0.9
+
+
+def multiplications(program: Any) -> int:
+    """How many a program has; those of the body of a loop are counted once."""
+    inner = [
+        part for equation in program.eqns for part in jax.tree.leaves([*equation.params.values()])
+    ]
+    inner = [getattr(part, "jaxpr", part) for part in inner]
+    own = sum(equation.primitive.name == "mul" for equation in program.eqns)
+    return own + sum(multiplications(part) for part in inner if hasattr(part, "eqns"))
+
+
+@pytest.mark.parametrize(
+    ("delay", "most"),
+    [(8.0, [(1240, 465), (65, 1095)]), (20.0, [(535, 1215), (97, 1370), (65, 1370)])],
+)
+def test_the_programs_of_the_tries_are_short(delay: float, most: list[tuple[int, int]]) -> None:
+    """Code without loops is faster, but XLA takes long to compile what has too much of it."""
+    loop = dominance.loop_of([np.full(512, x) for x in (0.1, 0.3, 1e-3, 0.015)], delay)
+    loop = jax.tree.map(jnp.asarray, loop)
+    degree, t = jaxstab.model.polynomial_degree(delay), jnp.zeros(512, complex)
+    for effort, bounds in zip(dominance._tries(delay), most, strict=True):
+        given = {"degree": degree, "corrections": effort.corrections}
+        programs = (
+            jax.make_jaxpr(partial(dominance.dominant_root, degree=degree, effort=effort))(loop),
+            jax.make_jaxpr(partial(dominance.polished, **given))(t, loop),
+        )
+        for program, bound in zip(programs, bounds, strict=True):
+            assert 0.93 * bound < multiplications(program.jaxpr) <= bound
+
+
+@pytest.mark.parametrize("delay", [1.0, 20.0, 60.0])
+def test_a_thousand_points_that_are_left_open_are_tried_at_once(
+    monkeypatch: pytest.MonkeyPatch, delay: float
+) -> None:
+    tried: list[int] = []
+
+    def try_them(loop: Loop, *_: object) -> tuple[np.ndarray, np.ndarray]:
+        tried.append(loop.alpha.size)
+        return loop.alpha, loop.beta
+
+    monkeypatch.setattr(dominance, "_tried", try_them)
+    given = [np.linspace(0.1, 0.2, 2000), *(np.full(2000, x) for x in (0.3, 1e-3, 0.015))]
+    chosen = np.arange(0, 2000, 2)
+    for effort in dominance._tries(delay):
+        alpha, _ = dominance._try_list(given, (2000,), chosen, delay, effort)
+        assert np.array_equal(alpha, given[0][chosen])
+    assert len(tried) == len(dominance._tries(delay))
 
 
 def test_an_unknown_method_is_refused() -> None:

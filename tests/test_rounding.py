@@ -18,7 +18,7 @@ from jaxstab.point import dominance, fields, radius
 from jaxstab.point.dominance import Complex
 from jaxstab.point.radius import scaled_codes
 from jaxstab.point.schur_cohn import Chain, _quotient, _step, loop_coefficients
-from jaxstab.point.verdicts import _ends, float_plant
+from jaxstab.point.verdicts import _closed_loop, _ends, float_plant
 from jaxstab.rounding import UNIT
 
 COUNT = 400
@@ -93,6 +93,20 @@ def test_values_at_minus_one_are_within_their_errors(plant_error: float) -> None
         force = true.n2 - true.n1 + true.n0 + plant_error * float(plant.size[k])
         value = 1 - true.d1 + true.d0 + force * (float(alpha[k]) + 2 * float(beta[k]))
         assert abs(ends.at_minus_one[k] - value) <= ends.at_minus_one_error[k]
+
+
+@pytest.mark.parametrize("fraction", [0.0, 0.4])
+def test_a_loop_of_a_plant_that_is_wrong_is_within_its_errors(fraction: float) -> None:
+    """Of u1 and twice u2, and of all others: each number is wrong by the error of the plant."""
+    rng, wrong = np.random.default_rng(9), 1e-9
+    gamma, delta = rng.uniform(0.1, 4.0, (2, 40))
+    plant = float_plant(gamma, delta, np.full(40, fraction), is_fractional=fraction > 0.0)
+    alpha, beta = drawn(rng, 2, 40)
+    chain = _closed_loop(alpha, beta, plant._replace(error=np.full(40, wrong)))
+    walls = len(plant.stiff) * plant.size * (abs(alpha) + 2.0 * abs(beta))
+    assert np.all((3.0 * wrong < chain.head_error) & (chain.head_error < 6.0 * wrong))
+    assert np.all(wrong * (1.0 + 0.9 * walls) < chain.error)
+    assert np.all(chain.error < 2.0 * wrong * (1.0 + walls))
 
 
 def test_sums_of_large_gains_are_within_the_error_of_their_coefficients() -> None:

@@ -209,3 +209,16 @@ def test_a_bound_holds_for_tiny_poles_of_a_strongly_damped_plant(method: str) ->
     radius = jaxstab.spectral_radius(**by_name(*point), method=method)
     low, high = truth.spectral_radius(*point)
     assert low - float(radius.error) <= float(radius.value) <= high + float(radius.error)
+
+
+@pytest.mark.parametrize(("delta", "status"), [(9.5, "PROVED"), (10.5, "NO_BOUND")])
+def test_small_radii_of_damped_plants_are_proved_up_to_a_damping_of_10(
+    delta: float, status: str
+) -> None:
+    """The slower pole of a free plant: s^2 + delta s + gamma = 0."""
+    gamma = 0.2 * delta**2
+    radius = jaxstab.spectral_radius(0.0, 0.0, gamma=gamma, delta=delta, delay=0.0)
+    true = mp.exp(-(delta - mp.sqrt(delta**2 - 4 * mpf(gamma))) / 2)
+    assert true < 0.5
+    assert radius.status == RadiusStatus[status]
+    assert abs(true - mpf(float(radius.value))) <= float(radius.error)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from campaign import first
-from mpmath import mp
+from mpmath import mp, mpf
 
 from benchmarks.hard_loops import points_near_the_boundary, random_plants
 from benchmarks.truth import loop as truth
@@ -208,6 +208,34 @@ def test_a_code_in_an_array_of_one_number_is_that_verdict(array: Callable[..., A
     assert Verdict(array(2, np.int8)) is Verdict.UNSTABLE
     with pytest.raises(ValueError, match="7 is not a valid Verdict"):
         Verdict(array(7, np.int8))
+
+
+def test_kernels_are_chosen_by_the_degree_and_how_many_points_there_are(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """XLA compiles each degree up to 12, of many points up to 26; one loop serves all others."""
+    for name in ("_untiled_codes", "_short_codes", "_long_codes"):
+        monkeypatch.setattr(verdicts, name, lambda *_, name=name, **__: name.split("_")[1])
+    few, many = ([np.broadcast_to(0.0, 1 << power)] * 3 for power in (18, 19))
+    chosen = {
+        "untiled": [(many, 3), (many, 4)],
+        "short": [(few, 5), (few, 12), (many, 13), (many, 26)],
+        "long": [(few, 13), (few, 26), (many, 27)],
+    }
+    for name, asked in chosen.items():
+        assert [verdicts._float_codes(tuple(points), n) for points, n in asked] == [name] * len(
+            asked
+        )
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e-3])
+@pytest.mark.parametrize("share", [0.8, 1.25])
+def test_a_plant_is_lost_where_n_at_1_nearly_vanishes(share: float, damping: float) -> None:
+    """At gamma = (2 pi)^2 without damping N(1) = D(1)/gamma is 0; below 2^-25 it is lost."""
+    off = mp.sqrt(share * (2 * mp.pi) ** 2 * mpf(2) ** -25 - mpf(damping) ** 2 / 4)
+    gamma = float((2 * mp.pi + off) ** 2 + mpf(damping) ** 2 / 4)
+    assert float(truth.plant(gamma, damping).sum) == pytest.approx(share * 2.0**-25, rel=1e-2)
+    assert verdicts.is_plant_lost(gamma, damping) == (share < 1.0)
 
 
 def test_an_unknown_way_to_resolve_is_refused() -> None:
