@@ -54,6 +54,8 @@ def test_many_radii_print_one_line() -> None:
     assert "100 loops" in shown
     assert f"{np.max(many.value):.6g}" in shown
     assert len(shown) < 120
+    two = jaxstab.results.SpectralRadius(np.array([0.5, 0.75]), np.array([1e-15, 1.21e-14]), [1, 1])
+    assert repr(two) == "SpectralRadius of 2 loops: 0.5 to 0.75, bound 1.3e-14 at most (2 proved)"
     none = PLAIN.spectral_radius(np.zeros(0), 10.0)
     assert repr(none) == "SpectralRadius of no loop"
 
