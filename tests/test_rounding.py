@@ -97,7 +97,10 @@ def test_values_at_minus_one_are_within_their_errors(plant_error: float) -> None
 
 @pytest.mark.parametrize("fraction", [0.0, 0.4])
 def test_a_loop_of_a_plant_that_is_wrong_is_within_its_errors(fraction: float) -> None:
-    """Of u1 and twice u2, and of all others: each number is wrong by the error of the plant."""
+    """Of u1 and twice u2, and of all others: each number is wrong by that of the plant.
+
+    Without it u1 and u2 are rounded.
+    """
     rng, wrong = np.random.default_rng(9), 1e-9
     gamma, delta = rng.uniform(0.1, 4.0, (2, 40))
     plant = float_plant(gamma, delta, np.full(40, fraction), is_fractional=fraction > 0.0)
@@ -107,6 +110,9 @@ def test_a_loop_of_a_plant_that_is_wrong_is_within_its_errors(fraction: float) -
     assert np.all((3.0 * wrong < chain.head_error) & (chain.head_error < 6.0 * wrong))
     assert np.all(wrong * (1.0 + 0.9 * walls) < chain.error)
     assert np.all(chain.error < 2.0 * wrong * (1.0 + walls))
+    chain = _closed_loop(alpha, beta, plant._replace(error=np.zeros(40)))
+    u1, u2 = map(abs, chain.head)
+    np.testing.assert_allclose(chain.head_error, UNIT * (u1 + 2.0 * u2), rtol=1e-12, atol=0.0)
 
 
 def test_sums_of_large_gains_are_within_the_error_of_their_coefficients() -> None:
