@@ -9,7 +9,7 @@ import pytest
 from jaxstab import HandRange, HapticLoop
 from jaxstab.boxes.enclosures import ParameterBoxes
 from jaxstab.boxes.polygons import RobustRegion
-from jaxstab.boxes.search import Guess, Paving, RobustStatus, paved, search
+from jaxstab.boxes.search import PULLS, Guess, Paving, RobustStatus, paved, search
 from jaxstab.conventions import Verdict
 from jaxstab.loop.hands import LoopsWithHands, WorstHand
 
@@ -204,6 +204,10 @@ def test_a_search_samples_where_a_proof_fails_before_it_pulls_further() -> None:
     nothing = Guess(np.zeros((0, 2)))
     for known in (nothing, None):  # no walls are allowed, or it is not known which
         assert search(lambda _, it=known: it, disc.unproved, disc.add, [0.01]) == (known, False)
+
+
+def test_a_limit_is_proved_1_percent_below_or_2_or_4_or_8() -> None:
+    assert tuple(2.0**k / 100.0 for k in range(4)) == PULLS
 
 
 def test_a_search_shares_its_proofs_among_the_pulls(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -209,6 +209,21 @@ def test_at_a_root_rounding_alone_is_the_distance(degree: int, root: float) -> N
     assert bound[0] == pytest.approx(of_terms + 4.0 * UNIT * root, rel=2e-3, abs=0.0)
 
 
+def test_how_far_the_circle_is_inside_of_a_root_is_known_to_64_units() -> None:
+    """Lemma R1: p/p' has one large term, d, and the others are n - 1 over that distance at most."""
+    loop = dominance.loop_of([np.array([v]) for v in (0.1, 0.3, 0.2, 0.1)], 0.0)
+    root = max(truth.roots(0.1, 0.3, 0.2, 0.1, 0), key=lambda z: (abs(z), z.imag))
+    off = 2.0**-28
+    t = Complex(np.array([float(root.real) - 1.0 + off]), np.array([float(root.imag)]))
+    size, radius_there = abs(t.re + 1j * t.im), abs(1.0 + t.re + 1j * t.im)
+    distance, _ = dominance._distance_to_root(t, size, radius_there, loop, 3)
+    _, bound = dominance.with_distance(t, loop, 3)
+    share = dominance._SLACK * distance / (bound - 4.0 * UNIT * radius_there)
+    apart = 2.0 * distance / (3.0 - share)
+    least = 2.0**-25 * np.minimum(size, radius_there)
+    assert (least - apart) / size == pytest.approx(64.0 * UNIT, rel=0.1, abs=0.0)
+
+
 @pytest.mark.parametrize("fraction", [0.0, 0.4])
 def test_the_rounding_of_a_value_and_a_slope_is_that_of_lemma_r1(fraction: float) -> None:
     """(4 (n - 2) + 30) u of all terms without their signs, and of the derivatives of these."""
