@@ -23,6 +23,7 @@ from jaxstab import (
     robust_region,
 )
 from jaxstab.boxes.enclosures import ParameterBoxes
+from jaxstab.boxes.hands import unproved_members
 from jaxstab.boxes.plant import DeviceBoxes
 from jaxstab.guard.build import proved
 from jaxstab.guard.grid import Grid
@@ -121,6 +122,14 @@ def test_cells_of_a_guard_take_few_boxes(
     is_proved, count = proved(loop, hands, grid, cells, budget, lambda _: None, 0)
     assert is_proved.all()
     assert 0.93 * most < count <= most
+
+
+def test_a_wall_that_cannot_be_proved_is_given_up_soon(boxes: Callable[[], int]) -> None:
+    """A free device without stiffness has a root at 1, in a box that is halved 16 times."""
+    loop, fixed = loop_of(MASS, {}), ((0.25, 0.25), (1.0, 1.0))
+    left = unproved_members(MASS, loop, HandRange(), *fixed, np.array([[0.0, 5.0]]))
+    assert len(left) == 1
+    assert 35 < boxes() < 40
 
 
 def test_the_region_of_figure_10_takes_few_hands_and_boxes(boxes: Callable[[], int]) -> None:

@@ -29,6 +29,7 @@ from jaxstab.boxes.plant import (
     Extent,
     HeldDevice,
     _Aliases,
+    _moving_s,
     _polynomial,
 )
 from jaxstab.model.device.parts import Ports, Shapes
@@ -280,6 +281,24 @@ def test_the_plant_is_that_of_its_parts(
     true = encoder - by_hand * handle * held / (1.0 + held * there)
     true = true / ((1.0 + s / 0.7) * (1.0 + s / 2.0))
     assert np.divide(*device.parts(s, mass, arm)) == pytest.approx(true, rel=1e-10)
+
+
+@pytest.mark.parametrize("kind", BODIES)
+@pytest.mark.parametrize("grip", [None, (0.3, 0.05)])
+def test_the_parts_of_a_plant_are_known_with_their_slopes(
+    kind: str, grip: tuple[float, float] | None
+) -> None:
+    """N(i theta), D(i theta) and the slopes by theta, for two modes of unlike shapes, too."""
+    device, arm, x = BODIES[kind]._replace(grip=grip, lags=(0.7,)), (0.2, 0.4, 0.6), 0.3
+    theta = model(x, 1.0, 0.0, 1e-9)
+    arms = Arms(*map(theta.constant, arm))
+    made = device.parts(_moving_s(theta), theta.constant(0.5), arms)
+    before, there, after = (
+        np.array(device.parts(1j * at, 0.5, Arms(*arm))) for at in (x - 1e-4, x, x + 1e-4)
+    )
+    values, rates = ([getattr(part, of).centre[0] for part in made] for of in ("value", "rate"))
+    assert values == pytest.approx(there, rel=1e-12, abs=1e-12)
+    assert rates == pytest.approx((after - before) / 2e-4, rel=1e-6, abs=1e-7)
 
 
 @pytest.mark.parametrize(

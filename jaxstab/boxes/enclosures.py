@@ -150,9 +150,6 @@ class Moving:
     def __sub__(self, other: "Moving | LinearModel | Number") -> "Moving":
         return self + -other
 
-    def __rsub__(self, other: LinearModel | Number) -> "Moving":
-        return -self + other
-
     def __mul__(self, other: "Moving | LinearModel | Number") -> "Moving":
         if isinstance(other, Moving):
             rate = self.value * other.rate + other.value * self.rate
