@@ -199,6 +199,19 @@ def test_a_loop_on_another_circle_is_within_its_errors(fraction: float, plant_er
     assert plant_error == 0.0 or np.all(worst > 0.5)
 
 
+def test_a_plant_on_another_circle_is_rounded_by_12_and_20_units() -> None:
+    """Without a wall: 12 u of gap and r^2 - 1, over r^2, and 20 u of the other two."""
+    rng = np.random.default_rng(10)
+    plant = float_plant(*rng.uniform(0.1, 4.0, (2, 40)), np.zeros(40), is_fractional=False)
+    plant, t = plant._replace(error=np.zeros(40)), rng.uniform(-0.9, 0.5, 40)
+    loop = dominance.Loop(np.zeros(40), np.zeros(40), np.ones(40), plant)
+    chain, _ = dominance._circle(t, np.zeros(40), loop, 5)
+    of_gap = 12.0 * UNIT * (abs(plant.gap) + abs((1.0 + t) ** 2 - 1.0)) / (1.0 + t) ** 2
+    np.testing.assert_allclose(chain.error, of_gap, rtol=1e-9, atol=0.0)
+    of_head = 20.0 * UNIT * (abs(plant.d1) / (1.0 + t) + abs(plant.d0) / (1.0 + t) ** 2)
+    np.testing.assert_allclose(chain.head_error, of_head, rtol=1e-9, atol=0.0)
+
+
 @pytest.mark.parametrize("degree", [3, 12, 30])
 @pytest.mark.parametrize("root", [0.5, 4.0])
 def test_at_a_root_rounding_alone_is_the_distance(degree: int, root: float) -> None:
