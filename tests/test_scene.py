@@ -292,3 +292,13 @@ def test_a_scale_that_looks_like_a_slip_is_remarked_on(path: str, value: Any, wo
     unusual = Scene.from_table(with_value(path, value)).unusual()
     assert len(unusual) == 1
     assert unusual[0].startswith(words)
+
+
+@pytest.mark.parametrize(("scale", "words"), [(1000.0, ""), (1.0, "has 0.001 of a velocity")])
+def test_an_estimator_in_units_of_a_sample_is_called_unusual(scale: float, words: str) -> None:
+    estimator = {"numerator": [0.1 * scale, -0.1 * scale], "denominator": [1.0, -0.9]}
+    controller = {"sample_time": 1e-3, "velocity": estimator}
+    table = {"device": {"mass": 0.25, "damping": 0.1}, "controller": controller}
+    said = Scene.from_table(table).unusual()
+    assert len(said) == bool(words)
+    assert all(words in sentence for sentence in said)

@@ -682,6 +682,15 @@ class Scene:
         if estimator and meant and meant.value != controller.sample_time:
             own = f"a sample_time of {meant.value:g} s"
             yield f"the preset {estimator.preset!r} is meant for {own}"
+        elif estimator and estimator.numerator and estimator.denominator:
+            powers = enumerate(reversed(estimator.numerator))
+            rate = controller.sample_time * sum(power * number for power, number in powers)
+            rate /= sum(estimator.denominator)
+            if not 0.5 <= rate <= 2.0:
+                yield (
+                    f"controller.velocity has {rate:.3g} of a velocity that is constant; are its "
+                    "coefficients for another unit or sample_time?"
+                )
         is_heavy = units is Units.LINE and self.device.effective_mass[0] > 0.01  # kg
         for name, wall in self.walls.items():
             if wall.damping > wall.stiffness > 0.0:
