@@ -388,6 +388,14 @@ def test_the_command_writes_a_header_and_a_picture(tmp_path: Path) -> None:
         assert said in answer.output
 
 
+def test_the_range_around_one_mass_holds_the_ends_that_are_printed(tmp_path: Path) -> None:
+    words = ["guard", "--mass", "0.07", "--damping", "0.5", "--rate", "1000", "--cells", "1,1,2"]
+    answer = run(*words, "-o", tmp_path / "g.h")
+    assert answer.exit_code == 0, answer.output
+    assert "device: 0.056 to 0.0875 kg" in answer.output
+    assert "#define G_LOWEST_MASS 0.056 " in (tmp_path / "g.h").read_text()
+
+
 @pytest.mark.usefixtures("little_work")
 def test_the_command_tells_its_work_once(tmp_path: Path) -> None:
     loop = ["--mass", "0.25", "--damping", "0.1", "--rate", "1000", "--delay", "0.001"]
