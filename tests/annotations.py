@@ -19,7 +19,7 @@ from beartype import BeartypeConf, beartype
 from beartype.roar import BeartypeException
 from jaxtyping import AbstractArray, TypeCheckError, jaxtyped
 
-CHECKED = 20
+CHECKED = 20  # calls of a function in each test
 
 _TOOL = 4  # none that Python or coverage takes
 _by_type = beartype(conf=BeartypeConf(violation_type=TypeCheckError))
