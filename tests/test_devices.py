@@ -373,3 +373,8 @@ def test_threads_that_ask_devices_agree_and_restore_the_precision() -> None:
         assert (flint.ctx.prec, flint.ctx.cap) == (77, before)
     # The same device, which nothing remembers.
     assert asked == [poles_and_plant(frequency, order=-1) for frequency in frequencies]
+
+
+def test_one_mode_needs_no_list() -> None:
+    mode = Mode(frequency=100.0, damping_ratio=0.01, modal_mass=0.1)
+    assert Device.modes(mode, mass=0.2) == Device.modes([mode], mass=0.2)

@@ -245,31 +245,31 @@ class Device:
 
     @classmethod
     def modes(
-        cls, modes: Sequence[Mode], *, mass: float | None = None, damping: float = 0.0
+        cls, modes: Sequence[Mode] | Mode, *, mass: float | None = None, damping: float = 0.0
     ) -> "Device":
         """A device of a rigid body and vibration modes whose displacements add up.
 
         Args:
-            modes: the vibration modes.
+            modes: the vibration modes, or the one that there is.
             mass: of the rigid body in kg, > 0; None for a structure that is fixed to the ground.
             damping: of the rigid body in N s/m, >= 0.
 
         Raises: see ``jaxstab.conventions``; TypeError also if a mode is not a Mode, ValueError if
         there is neither a mode nor a mass.
         """
-        given: Any = modes
-        for mode in given if isinstance(given, Sequence) else [given]:
+        given: Any = modes if isinstance(modes, Sequence) else [modes]
+        for mode in given:
             if not isinstance(mode, Mode):
                 words = f"modes has {shortened(mode)}; give jaxstab.Mode(...) for each mode."
                 raise TypeError(words)
-        if mass is None and not modes:
+        if mass is None and not given:
             raise ValueError("modes is empty and mass is None; give at least one of them.")
         if mass is not None:
             mass = checked_number("mass", mass, 0.0, is_open=True, unit="kg")
         damping = checked_number("damping", damping, 0.0, unit="N s/m")
         if mass is None and damping:
             raise ValueError(f"damping is {damping:g} N s/m, of no mass; give mass, too.")
-        return cls(Modes(mass, damping, tuple(modes)))._checked()
+        return cls(Modes(mass, damping, tuple(given)))._checked()
 
     @classmethod
     def transfer_function(cls, numerator: Coefficients, denominator: Coefficients) -> "Device":
