@@ -253,6 +253,7 @@ def test_a_scan_ends_where_its_loops_can_be_computed() -> None:
         assert is_stable(wall=(50.0, 1e4), m=0.1, b=damping, **numbers) == stable
 
 
+@pytest.mark.campaign
 def test_sample_times_are_those_with_whole_windows() -> None:
     found = OMEGA.range_of("sample_time", 1000.0, 10.0)
     assert found.is_complete

@@ -702,6 +702,7 @@ def test_check_adds_the_simulated_contact_below_what_is_proved() -> None:
     assert check_walls(Scene.from_table(table)).walls["hard"].simulated is None
 
 
+@pytest.mark.campaign
 def test_ranges_are_simulated_at_their_lowest_hand_and_longest_delay() -> None:
     scene = scene_with(
         hand={"mass": [0.1, 0.3]}, controller={"delay": [1e-3, 2e-3], "max_force": 12.0}
@@ -877,6 +878,7 @@ def test_a_motion_that_grows_has_the_size_that_it_reached() -> None:
     assert not re.search("unlimited", "\n".join(wall.lines()))
 
 
+@pytest.mark.campaign
 def test_contacts_are_said_to_be_of_one_constant_delay(tmp_path: Path) -> None:
     scene = scene_with(controller={"delay": [0.0, 1e-3]})
     answer = simulate_contacts(scene)

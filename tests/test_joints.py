@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from campaign import many
+from campaign import first, many
 from commands import assert_one_sentence, run
 from problems import LEAST_INERTIAS
 
@@ -208,7 +208,7 @@ def disagreements(kind: str, count: int) -> tuple[int, list[str]]:
 KINDS = ["held", "outside", *RULES]
 
 
-@pytest.mark.parametrize("kind", KINDS[1:])
+@pytest.mark.parametrize("kind", first(KINDS[1:], 2))
 def test_55_mujoco_settles_above_the_least_inertia_and_not_below(kind: str) -> None:
     decided, wrong = disagreements(kind, 3)
     assert not wrong

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from campaign import many
+from campaign import first, many
 from commands import run
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
@@ -96,6 +96,7 @@ def test_issue_31_21_limits_draw_the_walls_and_what_all_hands_allow() -> None:
     assert not any(text.get_text().endswith(" ms") for text in figure.axes[0].texts)
 
 
+@pytest.mark.campaign
 def test_check_draws_how_far_each_gain_may_go_alone_and_the_responses() -> None:
     scene = Scene.from_table(TABLE | {"hand": HAND})
     checked = check_walls(scene)
@@ -248,7 +249,7 @@ CROWDED = {
     [TABLE["walls"], pytest.param(CROWDED, marks=pytest.mark.campaign)],
     ids=["two", "crowded"],
 )
-@pytest.mark.parametrize("ask", [scene_limits, check_walls, tune_walls])
+@pytest.mark.parametrize("ask", first([scene_limits, check_walls, tune_walls], 1))
 def test_texts_cover_neither_marks_nor_each_other(ask: Any, walls: dict[str, Any]) -> None:
     device = TABLE["device"] | {"encoder": {"resolution": 1e-5}}
     scene = Scene.from_table(TABLE | {"walls": walls, "device": device})
@@ -321,6 +322,7 @@ def test_powers_are_raised_and_dollars_begin_no_formula(text: str, shown: str) -
     assert plain(text) == shown
 
 
+@pytest.mark.campaign
 def test_small_inertias_are_written_as_powers_of_ten() -> None:
     tiny = {"inertia": 2.2e-7, "damping": 1e-7}
     walls = {"w": {"stiffness": 0.01, "damping": 3e-5}}
@@ -346,12 +348,15 @@ def test_a_guard_names_what_its_curves_are_for() -> None:
 
 @pytest.mark.parametrize(
     ("of", "over"),
-    [
-        ({"device": {"inertia": 1e-4, "damping": 1e-3}}, {"device.inertia": (1e-4, 5e-4, 7)}),
-        ({}, {"device.preset": ["omega", "falcon", "phantom"]}),
-        ("simulator", {"loop.inertia": (0.1, 0.5, 7), "loop.substeps": [1, 2]}),
-        ("admittance", {"loop.environment": (1e3, 2e4, 5)}),
-    ],
+    first(
+        [
+            ({}, {"device.preset": ["omega", "falcon", "phantom"]}),
+            ({"device": {"inertia": 1e-4, "damping": 1e-3}}, {"device.inertia": (1e-4, 5e-4, 7)}),
+            ("simulator", {"loop.inertia": (0.1, 0.5, 7), "loop.substeps": [1, 2]}),
+            ("admittance", {"loop.environment": (1e3, 2e4, 5)}),
+        ],
+        1,
+    ),
 )
 def test_ticks_of_a_study_stand_apart_and_axes_have_names(of: Any, over: dict[str, Any]) -> None:
     table = TABLE | {"walls": {}} | of if isinstance(of, dict) else GAINS / f"{of}.toml"

@@ -174,6 +174,7 @@ def test_issue_31_30_a_csv_file_holds_no_formula(tmp_path: Path) -> None:
         assert not cell.startswith(("=", "+", "@")), cell
 
 
+@pytest.mark.campaign
 def test_issue_31_30_a_dollar_sign_of_a_name_begins_no_formula(tmp_path: Path) -> None:
     picture = tmp_path / "scene.svg"
     done = run("check", *LOOP, "--wall", r"a $\frac{$", "1000", "10", "--plot", picture)

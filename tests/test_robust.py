@@ -141,7 +141,8 @@ def test_robust_region_refuses_bad_input(arguments, message):
         robust_region(**{"gamma": (0.0, 1.0), "delta": (0.0, 1.0)} | arguments)
 
 
-@pytest.mark.parametrize("samples", [2, pytest.param(20, marks=pytest.mark.campaign)])
+@pytest.mark.campaign
+@pytest.mark.parametrize("samples", [2, 20])
 def test_a_robust_region_with_a_window_holds_for_hands_that_certified_roots_judge(
     rng: np.random.Generator, samples: int
 ) -> None:
