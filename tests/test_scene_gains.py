@@ -323,6 +323,12 @@ def test_54_limits_of_a_range_of_environments_are_those_of_the_stiffest_one_and_
         assert ranged[name] == stiffest[name]
 
 
+def test_margins_over_frequency_are_those_of_one_environment() -> None:
+    tables = {"loop": ROBOT | {"environment": [10.0, 1e4]}, "wanted": {"frequency": True}}
+    with pytest.raises(ValueError, match="frequency are asked for beside a range of environments"):
+        answered(tables | {"gains": {"own": {"mass": 1.0, "damping": 50.0}}}, "check")
+
+
 # ---------------------------------------------------------------------------------------- commands
 def file_of(folder: Path, tables: Tables) -> Path:
     """A scene as a file, in inline tables."""

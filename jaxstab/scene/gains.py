@@ -279,6 +279,11 @@ def _checked(scene: GainScene, pair: dict[str, float]) -> GainAnswer:
     found = scene.stable.around(pair)
     verdict = found.values["verdict"]
     if scene.is_range:
+        if scene.wanted["frequency"]:
+            raise ValueError(
+                "margins over frequency are asked for beside a range of environments, for which "
+                "verdicts are proved; give one environment."
+            )
         return found
     radius, margins = scene.loop.spectral_radius(**pair), dict[str, Any]()
     if verdict == Verdict.STABLE:
