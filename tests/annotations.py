@@ -33,12 +33,13 @@ class _Known(NamedTuple):
     hints: dict[str, Any]
     has_sizes: bool
     checks: dict[str, Callable[[Any], None]]  # of these, filled when the function is called
-    left: list[int]  # calls that will be checked
+    checked: list[int]  # the last test in which it was called, and so many calls of that
 
 
 _known: dict[int, _Known] = {}  # by the identity of the code: to hash it takes as long as a check
 _running: dict[FrameType, dict[str, Any]] = {}  # the arguments of calls that will return
 _watched: set[str] = set()
+_now = [0, 0]  # the number of this test, and how many modules there were when it began
 
 
 def install() -> None:
@@ -54,13 +55,13 @@ def begin() -> None:
     """Let the first calls of every function be checked again, and those of new modules, too."""
     if sys.version_info < (3, 12):
         return
-    for name in [name for name in sys.modules if name.split(".")[0] == "jaxstab"]:
-        if name not in _watched:
-            _watched.add(name)
-            watch(sys.modules[name], name)
+    if _now[1] != len(sys.modules):
+        for name in [name for name in sys.modules if name.split(".")[0] == "jaxstab"]:
+            if name not in _watched:
+                _watched.add(name)
+                watch(sys.modules[name], name)
+    _now[:] = _now[0] + 1, len(sys.modules)
     _running.clear()
-    for known in _known.values():
-        known.left[0] = CHECKED
     sys.monitoring.restart_events()
 
 
@@ -133,9 +134,7 @@ def _watch(code: CodeType, annotations: dict[str, Any], names: dict[str, Any]) -
                 hints[name] = dict[str, hint] if kind is dict else tuple[hint, ...]
     if code.co_flags & inspect.CO_GENERATOR:
         hints.pop("return", None)
-    _known[id(code)] = _Known(
-        code, names, hints, any(map(_has_shape, hints.values())), {}, [CHECKED]
-    )
+    _known[id(code)] = _Known(code, names, hints, any(map(_has_shape, hints.values())), {}, [0, 0])
     events = sys.monitoring.events
     sys.monitoring.set_local_events(_TOOL, code, events.PY_START | events.PY_RETURN)
 
@@ -179,9 +178,12 @@ def _check(name: str, hint: Any, module: str) -> Callable[[Any], None]:
 
 def _starts(code: CodeType, _: int) -> Any:
     known = _known[id(code)]
-    if not known.left[0]:
+    last, count = known.checked
+    if last != _now[0]:
+        count = 0
+    elif count == CHECKED:
         return sys.monitoring.DISABLE
-    known.left[0] -= 1
+    known.checked[:] = _now[0], count + 1
     if not known.checks:
         module = known.names["__name__"]
         known.checks.update(
@@ -201,7 +203,7 @@ def _returns(code: CodeType, _: int, value: Any) -> Any:
     given = _running.pop(sys._getframe(1), None)
     if given is not None:
         _all_right(known, {**given, "return": value})
-    return None if known.left[0] else sys.monitoring.DISABLE
+    return None if known.checked[1] < CHECKED else sys.monitoring.DISABLE
 
 
 def _all_right(known: _Known, values: dict[str, Any]) -> None:

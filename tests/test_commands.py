@@ -110,6 +110,7 @@ COMMANDS: list[tuple[str, list[str], int]] = [
     ("atlas plot", ["small.h5", "-o", "a.png"], 0),
     ("atlas plot", ["small.h5", "-o", "a.pdf"], 2),
 ]
+LONG = {"atlas plot", "design"}  # commands of which some take seconds
 
 
 def commands_of(group: click.Group, prefix: str = "") -> Iterator[str]:
@@ -126,7 +127,10 @@ def test_the_table_of_exit_codes_has_every_command() -> None:
 
 @pytest.mark.parametrize(
     ("name", "arguments", "code"),
-    COMMANDS,
+    [
+        pytest.param(*asked, marks=pytest.mark.campaign) if asked[0] in LONG else asked
+        for asked in COMMANDS
+    ],
     ids=[f"{name}-{code}-{number}" for number, (name, _, code) in enumerate(COMMANDS)],
 )
 def test_31_18_exit_codes(name: str, arguments: list[str], code: int, folder: Path) -> None:

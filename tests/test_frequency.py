@@ -286,6 +286,7 @@ def test_a_sharp_resonance_is_not_missed() -> None:
                 velocity=Velocity.difference(samples=200),
             ).frequency_margins(1.0, 1.0),
             id="window",
+            marks=pytest.mark.campaign,
         ),
     ],
 )

@@ -72,7 +72,7 @@ def test_verdicts_are_those_in_fractions_at_large() -> None:
         assert not np.any(is_wrong)
 
 
-@pytest.mark.parametrize("degree", [2, 5, 12])
+@pytest.mark.parametrize("degree", first([2, 5, 12], 2))
 def test_radii_are_within_their_bounds_of_mpmath(degree: int) -> None:
     rng = np.random.default_rng([1, degree])
     polynomials = [drawn(rng, degree) for _ in range(6)]
