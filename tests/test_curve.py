@@ -229,6 +229,7 @@ def test_the_highest_power_turns_by_at_most_pi_over_8_between_two_angles_of_a_sc
     assert c.degree * np.max(np.diff(angles)) <= np.pi / 8.0 * (1.0 + 1e-9)
 
 
+@pytest.mark.campaign
 def test_arcs_follow_one_another_through_all_branches(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each branch has one narrow arc, which only the end of the one before it tells of."""
     monkeypatch.setattr("jaxstab.region.region.drawn_out", None)  # no closer look

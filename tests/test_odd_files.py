@@ -156,7 +156,12 @@ def test_where_tiles_are_computed_is_checked_first(tmp_path: Path) -> None:
     ("command", "words", "answer"),
     [
         (["region", "--gamma", "0", "--delta", "0"], "region of a loop with 0", "largest alpha"),
-        (["limits", "data/scenes/gains/pid.toml"], "limits of a loop", "largest"),
+        pytest.param(
+            ["limits", "data/scenes/gains/pid.toml"],
+            "limits of a loop",
+            "largest",
+            marks=pytest.mark.campaign,
+        ),
         (["joints", "data/robots/arm.xml", "--rate", "500"], "joints of data/robots", "stable"),
     ],
     ids=lambda value: value[0] if isinstance(value, list) else "",
