@@ -124,14 +124,11 @@ def _watch(code: CodeType, annotations: dict[str, Any], names: dict[str, Any]) -
     hints = dict(_hints(annotations, names))
     if id(code) in _known or not hints:
         return
-    for flag, kind in ((inspect.CO_VARKEYWORDS, dict), (inspect.CO_VARARGS, tuple)):
-        place = code.co_argcount + code.co_kwonlyargcount
-        if code.co_flags & flag:
-            place += bool(kind is dict and code.co_flags & inspect.CO_VARARGS)
-            name = code.co_varnames[place]
-            if name in hints:
-                hint = hints[name]
-                hints[name] = dict[str, hint] if kind is dict else tuple[hint, ...]
+    rest = iter(code.co_varnames[code.co_argcount + code.co_kwonlyargcount :])
+    if code.co_flags & inspect.CO_VARARGS and (name := next(rest)) in hints:
+        hints[name] = tuple[hints[name], ...]
+    if code.co_flags & inspect.CO_VARKEYWORDS and (name := next(rest)) in hints:
+        hints[name] = dict[str, hints[name]]
     if code.co_flags & inspect.CO_GENERATOR:
         hints.pop("return", None)
     _known[id(code)] = _Known(code, names, hints, any(map(_has_shape, hints.values())), {}, [0, 0])
@@ -166,7 +163,7 @@ def _check(name: str, hint: Any, module: str) -> Callable[[Any], None]:
 
     def check(value: Any) -> None: ...
 
-    name = name.replace("return", "returned")  # what a parameter may be called
+    name = "returned" if name == "return" else name  # what a parameter may be called
     code = check.__code__.replace(co_varnames=(name,))
     there = FunctionType(code, vars(sys.modules[module]))
     there.__annotations__ = {name: hint}

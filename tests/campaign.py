@@ -26,7 +26,10 @@ def some(cases: Iterable[Any], few: int) -> list[Any]:
 
 
 def first(cases: Iterable[Any], few: int) -> list[Any]:
-    """Return all cases, of which the default tests try the first few."""
-    cases = list(cases)
-    values = (case if isinstance(case, tuple) else (case,) for case in cases[few:])
-    return cases[:few] + [pytest.param(*value, marks=pytest.mark.campaign) for value in values]
+    """Return all cases, of which the default tests try the first few.
+
+    A tuple has the values of several parameters; one that is a value itself is given in a tuple.
+    """
+    values = [case if isinstance(case, tuple) else (case,) for case in cases]
+    own = [pytest.param(*value) for value in values[:few]]
+    return own + [pytest.param(*value, marks=pytest.mark.campaign) for value in values[few:]]

@@ -63,14 +63,14 @@ def scene_guard(
     # What postures may make of the mass; samples beside the delay if it is constant, and beyond it.
     shares, beside = ((0.8, 1.25), 1.0) if is_one_mass(scene) else ((0.96, 1.04), 0.1)
     mass, aside = scene.device.effective_mass[0], beside * loop.sample_time
-    around = [float(f"{share * mass:.12g}") for share in shares]  # 0.056, not 0.05600000000000001
+    low, high = (float(f"{share * mass:.12g}") for share in shares)  # 0.056, no digits of rounding
     if delays[0] == delays[1]:
         shortest = max(delays[0] - aside, 0.0) if is_constant else delays[0]
         delays = shortest, delays[0] + aside
     return build_guard(
         loop,
         range_of_hands(scene),
-        mass=masses_of(scene) or (around[0], around[1]),
+        mass=masses_of(scene) or (low, high),
         delay=delays,
         lost=lost or scene.controller.lost_samples,
         constant_delay=is_constant,
