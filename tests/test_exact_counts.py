@@ -99,7 +99,7 @@ TURN = [0.3, 2.6, 1.1]  # samples
 EQUAL = of_loop(device_damping=0.55, velocity=Velocity.low_pass(30.0, order=4))
 
 
-def triple_of(loop: HapticLoop) -> partial:
+def triple_of(loop: HapticLoop) -> partial[Any]:
     return partial(ball_triple, loop)
 
 
