@@ -13,7 +13,7 @@ import numpy as np
 import jaxstab
 from benchmarks.record import Row
 from benchmarks.timing import interleaved
-from jaxstab.atlas.limits import table_of
+from jaxstab.atlas.nodes import table_of
 from jaxstab.atlas.table import LimitTable
 from jaxstab.conventions import AXES, Verdict
 

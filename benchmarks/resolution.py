@@ -21,7 +21,7 @@ from scipy.interpolate import make_interp_spline
 import jaxstab
 from benchmarks.record import Row
 from benchmarks.timing import interleaved
-from jaxstab.atlas.limits import Arcs, table_of
+from jaxstab.atlas.nodes import Arcs, table_of
 from jaxstab.atlas.table import CLEAR, LimitTable
 from jaxstab.conventions import AXES, Verdict
 

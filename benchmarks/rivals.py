@@ -35,7 +35,7 @@ from benchmarks.truth import filtered, plain
 from benchmarks.truth.devices import Mechanism
 from benchmarks.truth.filtered import Rational
 from jaxstab import HapticLoop, Loop, Velocity, Verdict
-from jaxstab.atlas.limits import table_of
+from jaxstab.atlas.nodes import table_of
 
 MEASURE = "largest relative error of the end of a stable interval, by mpmath"
 SHARES = tuple(side * 10.0**-k for k in (3, 6, 9, 12) for side in (-1, 1))

@@ -16,6 +16,7 @@ from .loop import contact_map as contact_map
 from .loop import coupling as coupling
 from .loop import limits_of as limits_of
 from .loop import margins as margins
+from .loop import minimize_settling as minimize_settling
 from .loop import pid as pid
 from .loop import regions_of as regions_of
 from .loop import simulated_pd as simulated_pd
@@ -47,7 +48,6 @@ from .scene.study import shares as shares
 from .scene.study import study as study
 from .trace import trace_boundary as trace_boundary
 from .tuning import minimize_radius as minimize_radius
-from .tuning import minimize_settling as minimize_settling
 
 __version__: str
 __all__: list[str]

@@ -13,7 +13,7 @@ from benchmarks.answers import points_of
 from benchmarks.truth import loop as truth
 from jaxstab import AtlasSpec, Velocity, Verdict
 from jaxstab.atlas.build import asked_at_random
-from jaxstab.atlas.limits import LimitPlan, joined, table_of
+from jaxstab.atlas.nodes import LimitPlan, joined, table_of
 from jaxstab.atlas.table import CLEAR, LimitTable, largest_of_cells
 from jaxstab.exact.line import stable_line
 from jaxstab.model.balls import ball_triple

@@ -23,10 +23,10 @@ from jaxstab import (
     robust_region,
 )
 from jaxstab.boxes.enclosures import ParameterBoxes
-from jaxstab.boxes.hands import unproved_members
 from jaxstab.boxes.plant import DeviceBoxes
+from jaxstab.boxes.search import unproved_members
 from jaxstab.guard.build import proved
-from jaxstab.guard.grid import Grid
+from jaxstab.guard.guard import Grid
 from jaxstab.results import RobustStatus
 
 HANDS = HandRange(mass=(0.0, 0.5), stiffness=(0.0, 300.0), damping=(0.0, 5.0))

@@ -11,8 +11,8 @@ from scipy.linalg import expm
 from benchmarks.truth import devices, filtered
 from benchmarks.truth.random_loops import device_of
 from jaxstab import Device, Hand, HandRange, HapticLoop, Mode, Velocity, Verdict
-from jaxstab.boxes.hands import unproved_members
 from jaxstab.boxes.plant import Arms, HeldDevice, with_parts
+from jaxstab.boxes.search import unproved_members
 from tests.campaign import many
 
 PERIOD = 1e-3

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mpmath import mp, mpc, mpf
 
-from jaxstab import Filter, HapticLoop, Velocity
+from jaxstab import Device, Filter, HapticLoop, Velocity
 from jaxstab.exact.boundary import (
     ScaledLoop,
     _has_digits,
@@ -181,6 +181,26 @@ def test_lines_keep_a_root_and_are_stable_where_all_others_are_inside(
             assert moved[0] * moved[1] < 0.0
     if delay == 1.0:
         assert lines[1].start == pytest.approx([-6.0, 0.0])
+
+
+def test_roots_of_the_plant_are_found_once_however_close_to_one() -> None:
+    """Those of slow and of fast poles, in powers of z - 1 and of z."""
+    chosen = [0.05, 0.6, 0.8, 1.0 - 1e-9]
+    device = Device.transfer_function([1.0], np.poly(np.log(chosen)))
+    loop = HapticLoop(device=device, sample_time=1.0)
+    found = curve_parts(ScaledLoop(loop, (1.0, 1.0))).roots
+    assert np.sort(found.real) == pytest.approx(chosen, rel=1e-9)
+    assert 1.0 - found.real.max() == pytest.approx(1e-9, rel=1e-6)
+
+
+def test_a_position_that_is_0_at_an_angle_leaves_a_line_of_all_stiffnesses() -> None:
+    """Mean of four positions: at i p = (z - 1)^2 + B (z + 1) (z - 1)/(2 z) = 0 for B = 2."""
+    loop = HapticLoop(
+        device_mass=1.0, device_damping=0.0, sample_time=1.0, position=Filter.average(4)
+    )
+    (line,) = (one for one in root_lines(ScaledLoop(loop, (1.0, 1.0))) if one.angle == np.pi / 2)
+    assert line.start == pytest.approx([0.0, 2.0])
+    assert line.along == pytest.approx([1.0, 0.0])
 
 
 def test_a_cosine_sum_of_parts_with_one_phase_is_0() -> None:

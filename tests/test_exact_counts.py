@@ -28,14 +28,11 @@ from jaxstab.exact.boundary import (
     undamped_modes,
 )
 from jaxstab.exact.circle import zeros
-from jaxstab.exact.delay_margin import delay_margin
 from jaxstab.exact.line import stable_line
-from jaxstab.exact.ranges import Axis, stable_over
+from jaxstab.exact.margins import delay_margin, is_passive
+from jaxstab.exact.poles import Axis, poles, spectral_radius, stable_over, wall_verdict
 from jaxstab.exact.response import disturbed_responses, motion_settled_after, settled_after
-from jaxstab.exact.roots import poles, spectral_radius
-from jaxstab.exact.small_gain import is_passive
 from jaxstab.exact.turns import PeriodicLoop, is_growing
-from jaxstab.exact.verdict import wall_verdict
 from jaxstab.model.balls import Factored, ball_loop, ball_triple
 from jaxstab.model.device.parts import decided
 from jaxstab.model.device.sampling import one_sample

@@ -11,7 +11,8 @@ from benchmarks.truth import filtered
 from benchmarks.truth.plain import Loop
 from benchmarks.truth.random_loops import DeviceLoop, Filters, MassLoop
 from jaxstab import Device, Filter, HapticLoop, Mode, Velocity
-from jaxstab.exact.delay_margin import (
+from jaxstab.exact.line import stable_line
+from jaxstab.exact.margins import (
     DelayMargin,
     DelayStatus,
     _least_whole,
@@ -19,7 +20,6 @@ from jaxstab.exact.delay_margin import (
     _window,
     delay_margin,
 )
-from jaxstab.exact.line import stable_line
 from jaxstab.model.balls import ball_loop, ball_triple
 from jaxstab.model.device.sampling import one_sample
 
@@ -41,12 +41,15 @@ def assert_is_the_margin(drawn: MassLoop | DeviceLoop, delay: float) -> None:
     row = stable_line(partial(ball_triple, loop), (0.0, 0.125), (1.0, 0.0))
     interval = next(one for one in row.intervals if one.high.value > 0.0)
     wall = 0.5 * (max(interval.low.value, 0.0) + interval.high.value), 0.125
-    samples, _, status = margin_of(loop, wall)
+    samples, angle, status = margin_of(loop, wall)
     assert status == DelayStatus.PROVED
     assert 0.0 < samples < 1000.0
     for share in (0.3, 0.7, 1.0 - 1e-7):
         assert delayed(drawn, delay + share * samples).is_stable(*wall)
     assert delayed(drawn, delay + (1.0 + 1e-7) * samples).is_stable(*wall) is False
+    falling = delayed(drawn, delay + samples).polynomial(*wall)
+    roots = np.roots([float(c / falling[0]) for c in falling])
+    assert np.abs(roots - np.exp(1j * angle)).min() < 1e-4
 
 
 @pytest.mark.parametrize("samples", [1, 4, 20])

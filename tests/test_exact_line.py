@@ -147,6 +147,13 @@ def test_the_rules_of_simulators(b: float) -> None:
     assert ends(of_polynomials([1.0, -2.0 - b, 1.0 + b], [0, 1])) == [(0.0, 4.0 + 2.0 * b)]
 
 
+def test_the_slope_of_a_polynomial_on_the_circle_is_bounded_by_no_more_than_it_may_be() -> None:
+    """sum k |c_k|, where all terms agree."""
+    values = OnCircle.of(Factored(flint.arb_poly([5.0, 1.0, 0.5, 0.25])))
+    assert float(values.slope) == pytest.approx(1.0 + 2.0 * 0.5 + 3.0 * 0.25, rel=1e-9)
+    assert len(OnCircle.of(Factored(flint.arb_poly([1] * 33))).blocks) == 2
+
+
 def test_a_ray_is_stable_to_infinity() -> None:
     # z^2 + t z^2 + 1/2: |1 + t| > 1/2, through infinity.
     line = of_polynomials([0.5, 0, 1], [0, 0, 1])

@@ -10,7 +10,7 @@ from mpmath import mp, mpf
 from benchmarks.truth.plain import Loop, radius
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop
 from jaxstab import Filter, HapticLoop, Velocity
-from jaxstab.exact.roots import (
+from jaxstab.exact.poles import (
     isolated_roots,
     poles,
     real_or_not,
@@ -53,6 +53,13 @@ def test_poles_are_those_of_the_closed_form_and_structure() -> None:
     found = poles(lambda: ball_triple(loop), 0.0, 0.0)  # z (z - 1)^2
     assert found.values.tolist() == [1.0, 1.0, 0.0]
     assert found.error == 0.0
+
+
+def test_a_rough_radius_is_near_the_largest_root_of_the_closed_form() -> None:
+    loop, a, b = HapticLoop(device_mass=1.0, device_damping=0.0, sample_time=1.0), 0.5, 0.25
+    roots = np.roots([1.0, -(2.0 - (a + b) / 2.0), 1.0 + a / 2.0, -b / 2.0])
+    found = rough_radius(lambda: ball_triple(loop), a, b)
+    assert found == pytest.approx(np.abs(roots).max(), rel=1e-9)
 
 
 def test_chosen_roots_come_back() -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from jaxstab import HapticLoop, Velocity
 from jaxstab.exact.line import stable_line
-from jaxstab.exact.small_gain import SmallGainStatus, is_passive, largest_jitter, small_gain
+from jaxstab.exact.margins import SmallGainStatus, is_passive, largest_jitter, small_gain
 from jaxstab.model.balls import ball_loop, ball_triple
 from jaxstab.model.device.sampling import late_cosines
 

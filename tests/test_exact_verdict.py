@@ -12,10 +12,9 @@ from benchmarks.truth.plain import Loop, is_stable
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop, hostile_walls
 from jaxstab import Device, Filter, HapticLoop, Mode, Verdict
 from jaxstab.conventions import Status
-from jaxstab.exact.delay_margin import DelayStatus
 from jaxstab.exact.line import LineStatus
-from jaxstab.exact.small_gain import SmallGainStatus
-from jaxstab.exact.verdict import (
+from jaxstab.exact.margins import DelayStatus, SmallGainStatus
+from jaxstab.exact.poles import (
     VerdictStatus,
     rational_verdict,
     roots_outside,

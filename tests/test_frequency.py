@@ -18,7 +18,7 @@ from mpmath import mp
 
 import jaxstab
 from jaxstab import Device, HapticLoop, Loop, Mode, Velocity
-from jaxstab.exact.frequency import readings
+from jaxstab.exact.margins import readings
 from jaxstab.model.balls import Factored
 from jaxstab.scene import Scene, check_walls
 

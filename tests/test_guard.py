@@ -16,7 +16,7 @@ import jaxstab.guard.build
 from benchmarks.truth.filtered import FilteredLoop, average, difference
 from benchmarks.truth.moving import Moving, growth
 from jaxstab import HandRange, HapticLoop, Velocity, Verdict, build_guard
-from jaxstab.guard.grid import boundary_of
+from jaxstab.guard.guard import boundary_of
 from jaxstab.results import Guard
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -41,7 +41,7 @@ from jaxstab.boxes.plant import (
     with_parts,
 )
 from jaxstab.boxes.search import paved
-from jaxstab.guard.grid import Grid, grid_boxes, interpolated
+from jaxstab.guard.guard import Grid, grid_boxes, interpolated
 from jaxstab.model.device.parts import balls_of, working_precision
 from jaxstab.results import Guard
 

@@ -98,7 +98,6 @@ def test_imports_keep_their_contracts() -> None:
         ".point",
         ".region",
         ".boxes",
-        ".tuning",
         ".paper",
         ".atlas",
         ".results",

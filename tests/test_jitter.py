@@ -18,10 +18,9 @@ from benchmarks.truth.moving import LOST, Moving, growth
 from jaxstab import Device, Filter, Hand, HandRange, HapticLoop, Mode, Velocity, Verdict
 from jaxstab.exact.turns import segments_of
 from jaxstab.loop.hands import LoopsWithHands
-from jaxstab.loop.jitter import MovingLoop
+from jaxstab.loop.jitter import Delays, MovingLoop
 from jaxstab.model.device.parts import working_precision
 from jaxstab.model.device.sampling import late_cosines, one_sample
-from jaxstab.motion.moving_delays import Delays
 
 T = 1e-3
 AT = {"sample_time": T, "delay": 0.5e-3}

@@ -13,7 +13,7 @@ import jaxstab
 from benchmarks.truth import filtered
 from benchmarks.truth import loop as truth
 from jaxstab import Filter, HandRange, HapticLoop, Velocity, Verdict
-from jaxstab.boxes.hands import checked_range
+from jaxstab.boxes.search import checked_range
 from jaxstab.model import by_name
 
 FREE = HapticLoop(device_mass=1.0, device_damping=0.0, sample_time=1.0)  # K = alpha, B = beta

@@ -10,8 +10,7 @@ import pytest
 from atlases import write_small
 from commands import EXAMPLE, POINT, START, assert_one_sentence, run
 
-from jaxstab import AtlasSpec, Verdict, build_atlas, durable, open_atlas
-from jaxstab.scene import labelled
+from jaxstab import AtlasSpec, Verdict, build_atlas, durable, open_atlas, tables
 
 CSV = "alpha,beta,gamma,delta,delay\n"
 
@@ -252,9 +251,9 @@ def test_a_table_is_not_called_damaged_where_memory_runs_short(
 ) -> None:
     text = tmp_path / "text.h5"
     text.write_text("no table")
-    monkeypatch.setattr("jaxstab.scene.labelled.is_memory_short", lambda: True)
+    monkeypatch.setattr("jaxstab.tables.is_memory_short", lambda: True)
     with pytest.raises(MemoryError, match=f"there is not enough memory to read {text}"):
-        labelled.read(text)
+        tables.read(text)
 
 
 def test_31_a_pipe_is_not_waited_for(path: Path, tmp_path: Path) -> None:

@@ -17,8 +17,7 @@ from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
 import jaxstab
-from jaxstab.pictures.scene import guard_figure, scene_figure
-from jaxstab.pictures.study import study_figure
+from jaxstab.pictures.scene import guard_figure, scene_figure, study_figure
 from jaxstab.pictures.style import picture, plain
 from jaxstab.scene import (
     Scene,

@@ -12,8 +12,8 @@ import jaxstab
 from benchmarks.truth import filtered
 from benchmarks.truth import loop as truth
 from jaxstab.boxes import HandRange, RobustStatus, polygons, robust_region
-from jaxstab.boxes.hands import unproved_members
 from jaxstab.boxes.polygons import failures
+from jaxstab.boxes.search import unproved_members
 from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
 from jaxstab.paper import passive_region

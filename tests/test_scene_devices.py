@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm, matrix_balance
 
 from jaxstab import Device, Hand, HapticLoop, Mode, Velocity
-from jaxstab.boxes.hands import spread_hands
+from jaxstab.boxes.search import spread_hands
 from jaxstab.conventions import Verdict
 from jaxstab.scene import Scene, check_walls, loop_of, scene_limits
 from jaxstab.scene.loops import OneHand, common_outline, corner_loops, range_of_hands

@@ -18,11 +18,11 @@ from commands import assert_one_sentence, run, run_code
 from scipy import stats
 
 import jaxstab
-from jaxstab import HapticLoop, Verdict
+from jaxstab import HapticLoop, Verdict, tables
 from jaxstab.cli.options import processes
-from jaxstab.pictures.study import study_figure
+from jaxstab.pictures.scene import study_figure
 from jaxstab.results import RegionStatus
-from jaxstab.scene import Scene, labelled, loop_of
+from jaxstab.scene import Scene, loop_of
 from jaxstab.scene import study as studies
 from jaxstab.scene.study import distribution_of, draws_of, values_of
 
@@ -770,13 +770,13 @@ def test_51_a_study_that_another_one_finished_meanwhile_is_kept(
     desk: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two studies begin at the same time and write the same file: both end, and one says so."""
-    output, real = desk.with_name("a.h5"), labelled.computed
+    output, real = desk.with_name("a.h5"), tables.computed
 
     def slower(planned: xarray.Dataset) -> xarray.Dataset:
         output.write_bytes(b"of another one")
         return real(planned)
 
-    monkeypatch.setattr(labelled, "computed", slower)
+    monkeypatch.setattr(tables, "computed", slower)
     result = run("study", desk, "--over", "device.mass=0.1,0.2", "-o", output)
     assert (result.exit_code, result.stdout) == (2, "")
     assert "a.h5: another process has written it meanwhile; remove that file" in result.stderr

@@ -15,7 +15,7 @@ import jaxstab
 from benchmarks.truth import loop as truth
 from jaxstab.model import by_name
 from jaxstab.results import TuningStatus
-from jaxstab.tuning.radius import _largest_moduli
+from jaxstab.tuning import _largest_moduli
 
 LEAST_RADII = (0.587401, 0.752114, 0.824656, 0.864687, 0.889931, 0.907271)  # gamma = delta = 0
 LARGEST_ALPHAS = (12 - 8 * math.sqrt(2), 0.14447, 0.06243, 0.03478)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxstab.tuning.radius import minimised
+from jaxstab.tuning import minimised
 
 GRID = np.linspace(-1.0, 1.0, 21), np.linspace(-2.0, 2.0, 41)
 

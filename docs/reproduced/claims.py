@@ -11,13 +11,13 @@ from math import exp, pi, sqrt
 
 import numpy as np
 
+from jaxstab import minimize_settling
 from jaxstab.conventions import Verdict
 from jaxstab.loop import ContactKind, HapticLoop, contact_map
 from jaxstab.model import Device
 from jaxstab.paper import linear_validity, passive_region, plant_coefficients
 from jaxstab.point import closed_loop_poles, verdict
 from jaxstab.region import boundary_curve, stable_region
-from jaxstab.tuning import minimize_settling
 
 _PAPER = "Hulin et al. 2008"
 _DELTAS = 0.0, 0.005, 0.01, 0.015  # of Fig. 7

@@ -25,8 +25,7 @@ import numpy as np
 
 import jaxstab
 from jaxstab.atlas import file
-from jaxstab.atlas.fields import lay_out, packed_fields, wrong_nodes
-from jaxstab.atlas.limits import LimitPlan, joined
+from jaxstab.atlas.nodes import LimitPlan, joined, lay_out, packed_fields, wrong_nodes
 from jaxstab.atlas.query import Atlas, open_atlas
 from jaxstab.atlas.spec import AtlasSpec, words_of
 from jaxstab.atlas.table import LimitTable
@@ -66,7 +65,7 @@ def build_atlas(
         ValueError: a parameter is too large for the model, or an axis cannot be fitted.
         RuntimeError: workers died, or the table contradicts computed verdicts: give more nodes.
 
-    Source: ``jaxstab.atlas.limits``, ``jaxstab.evaluate_grid``.
+    Source: ``jaxstab.atlas.nodes``, ``jaxstab.evaluate_grid``.
 
     Example:
         >>> spec = jaxstab.AtlasSpec(delay=(1.0,), gamma=(0.0,), delta=(0.0, 0.015))

@@ -1,6 +1,6 @@
-from .hands import HandRange as HandRange
 from .polygons import RobustRegion as RobustRegion
 from .polygons import robust_region as robust_region
+from .search import HandRange as HandRange
 from .search import RobustLimit as RobustLimit
 from .search import RobustStatus as RobustStatus
 

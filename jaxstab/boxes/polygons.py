@@ -13,8 +13,15 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int8
 
 from jaxstab.arrays import Numbers
-from jaxstab.boxes.hands import HandRange, unproved_members
-from jaxstab.boxes.search import NOTHING, Guess, Points, RobustStatus, search
+from jaxstab.boxes.search import (
+    NOTHING,
+    Guess,
+    HandRange,
+    Points,
+    RobustStatus,
+    search,
+    unproved_members,
+)
 from jaxstab.conventions import Range, Verdict
 from jaxstab.model import by_name, checked_delay, checked_delta, checked_gamma
 from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, known_filters

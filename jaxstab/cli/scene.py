@@ -441,8 +441,8 @@ def contact(output: Path | None, count: int | None, frictions: str | None, **giv
     from jaxstab.loop import ContactKind
     from jaxstab.scene.answers import delay_notes
     from jaxstab.scene.contact import map_contacts
-    from jaxstab.scene.labelled import computed, require_free, write
     from jaxstab.scene.study import listed
+    from jaxstab.tables import computed, require_free, write
 
     scene = scene_of(given, "a map")
     require_free(output)
@@ -510,8 +510,8 @@ def scene() -> None:
 def init(output: Path | None, kind: str) -> None:
     """Write a commented example of a scene."""
     from jaxstab.durable import publish
-    from jaxstab.scene.labelled import require_free
     from jaxstab.scene.scene import folder_of
+    from jaxstab.tables import require_free
 
     text = (folder_of("scenes/gains") / f"{kind}.toml").read_text(encoding="utf-8")
     if output is None or str(output) == "-":

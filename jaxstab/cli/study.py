@@ -77,8 +77,8 @@ def study(
 
     Lists of values span a grid, distributions are drawn at each of its points.
     """
-    from jaxstab.scene.labelled import computed, require_free, write
     from jaxstab.scene.study import merged, plan_study
+    from jaxstab.tables import computed, require_free, write
 
     if output is None and (merge or part):
         raise click.UsageError("--merge and --part are given without --output; give the file.")
@@ -120,7 +120,7 @@ def study(
     cells = _cells(table) if csv_file else ()
     print_with_csv(_report(table, is_small=rows <= most), cells, csv_file)
     if plot:
-        from jaxstab.pictures.study import study_figure
+        from jaxstab.pictures.scene import study_figure
 
         draw(study_figure(table), plot)
 

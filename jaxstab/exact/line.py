@@ -47,8 +47,7 @@ from flint import acb, acb_poly, arb, arb_poly, ctx
 
 from jaxstab.conventions import MEASURED, Status
 from jaxstab.exact.circle import PATIENT, zeros
-from jaxstab.exact.roots import Number, is_sharp, sign_of
-from jaxstab.exact.verdict import TripleAt, roots_outside
+from jaxstab.exact.poles import Number, TripleAt, is_sharp, roots_outside, sign_of
 from jaxstab.model.balls import Factored
 from jaxstab.model.device.parts import FIRST_BITS, decided, remembered
 from jaxstab.shown import text_with_bound
@@ -209,7 +208,7 @@ class _Line(NamedTuple):
         p0 = p0.without_windows()
         if p0.at_minus_one:
             q = q.without_windows()
-        known = (part[1:4] for part in (p0, q) if not part.is_zero)
+        known = (part.known for part in (p0, q) if not part.is_zero)
         shared = [min(counts) for counts in zip(*known, strict=True)]
         p0, q = (part if part.is_zero else part.divided(*shared) for part in (p0, q))
         return cls(p0, q, sum(shared[1:]))

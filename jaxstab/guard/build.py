@@ -14,19 +14,25 @@ from jaxtyping import Bool, Int64
 
 from jaxstab.boxes import HandRange
 from jaxstab.boxes.enclosures import HAND
-from jaxstab.boxes.hands import checked_range
 from jaxstab.boxes.plant import Arms, with_parts
-from jaxstab.boxes.search import paved
+from jaxstab.boxes.search import checked_range, paved
 from jaxstab.conventions import Range, Verdict
 from jaxstab.exact import wall_verdict
-from jaxstab.guard.grid import CELL_AXES, Grid, boundary_of, cell_corners, grid_boxes, interpolated
-from jaxstab.guard.guard import Guard
+from jaxstab.guard.guard import (
+    CELL_AXES,
+    Grid,
+    Guard,
+    boundary_of,
+    cell_corners,
+    grid_boxes,
+    interpolated,
+)
+from jaxstab.loop.jitter import Delays
 from jaxstab.model import LoopParameters
 from jaxstab.model.balls import ball_triple
 from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.model.filters import NO_FILTERS, known_filters
 from jaxstab.model.loop import refuse_arrays
-from jaxstab.motion.moving_delays import Delays
 from jaxstab.numbers import checked_count, has_shape, require_kind, two_ends
 from jaxstab.region.closed_form import responses_at
 from jaxstab.shown import shortened

@@ -34,6 +34,7 @@ from .region import WallLimits as WallLimits
 from .region import WallRegion as WallRegion
 from .tune import CommonWall as CommonWall
 from .tune import OptimalWall as OptimalWall
+from .tune import minimize_settling as minimize_settling
 from .tune import tune_for_all as tune_for_all
 
 __all__: list[str]

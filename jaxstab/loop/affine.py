@@ -26,8 +26,8 @@ from jaxstab.arrays import Array, Numbers, float_arrays, is_jax, named, namespac
 from jaxstab.conventions import HORIZON, Range, Verdict
 from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.exact.line import LineStatus, StableLine
+from jaxstab.exact.poles import affine_verdict
 from jaxstab.exact.response import motion_settled_after
-from jaxstab.exact.verdict import affine_verdict
 from jaxstab.loop.gains import Gain, TwoGains
 from jaxstab.loop.margins import GainMargins, margins_of_gains, stable_pairs
 from jaxstab.loop.region import TOLERANCE, GainRegion, Gains, names_of
@@ -51,7 +51,7 @@ from jaxstab.model.device.parts import working_precision
 from jaxstab.model.filters import Filter, Velocity, filter_on
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.model.plant import LONGEST_DELAY, checked_gain, wall_grid
-from jaxstab.motion.settling import SettlingTime, checked_level, settled_answer
+from jaxstab.motion.bounds import SettlingTime, checked_level, settled_answer
 from jaxstab.numbers import (
     checked_count,
     checked_number,
@@ -64,8 +64,7 @@ from jaxstab.region.pieces import NO_BRANCH
 from jaxstab.region.region import region_of
 from jaxstab.region.stable_set import RegionStatus
 from jaxstab.shown import exact_text, number_text, shortened, text_with_bound
-from jaxstab.tuning import TuningStatus
-from jaxstab.tuning.radius import Walls, family_of_loop, smallest_radius
+from jaxstab.tuning import TuningStatus, Walls, family_of_loop, smallest_radius
 
 if TYPE_CHECKING:
     from jaxstab.loop.backwards import StableValues

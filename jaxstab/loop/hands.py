@@ -1,7 +1,7 @@
 """A loop in the hands of a range: the worst hand of a wall, the stiffest wall that all allow.
 
 Some hands are tried, in balls; all others, all masses of a device and all constant delays of a
-range, are proved in boxes (``boxes.hands``, ``boxes.search``). The stiffest wall is searched in the
+range, are proved in boxes (``boxes.search``). The stiffest wall is searched in the
 exact regions of the hands that were tried, row by row of the damping, and a wall a little below it
 is proved for all.
 """
@@ -16,10 +16,21 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.boxes.hands import HandRange, Members, checked_range, spread_hands, unproved_members
 from jaxstab.boxes.plant import Arms, with_parts
 from jaxstab.boxes.polygons import polygon_of_rows
-from jaxstab.boxes.search import NOTHING, PULLS, Guess, Points, RobustLimit, search
+from jaxstab.boxes.search import (
+    NOTHING,
+    PULLS,
+    Guess,
+    HandRange,
+    Members,
+    Points,
+    RobustLimit,
+    checked_range,
+    search,
+    spread_hands,
+    unproved_members,
+)
 from jaxstab.conventions import Range, Verdict
 from jaxstab.exact import rough_radius
 from jaxstab.loop.jitter import MovingLoop

@@ -32,7 +32,7 @@ from jaxstab.arrays import Array, is_any_jax, is_any_traced, leaves, namespace, 
 from jaxstab.batches import ahead, alike, in_float64
 from jaxstab.conventions import Verdict
 from jaxstab.exact import TripleAt
-from jaxstab.exact.verdict import roots_outside
+from jaxstab.exact.poles import roots_outside
 from jaxstab.loop.affine import GainLimits, Loop
 from jaxstab.model import LoopParameters, require_x64
 from jaxstab.model.affine import AdmittanceParts, affine_triple
@@ -46,7 +46,7 @@ from jaxstab.numbers import require_together
 from jaxstab.point.polynomials import codes_in_float64
 from jaxstab.region import RegionStatus
 from jaxstab.region.curve import Angles
-from jaxstab.region.outline import vertex_roots
+from jaxstab.region.measures import vertex_roots
 
 if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop

@@ -2,11 +2,11 @@
 
 One quantity is changed, starting from a wall that is proved stable. Along a gain all stable
 intervals are known (``exact.line``), and the one that holds the wall counts; along the delay, the
-first root on the circle (``exact.delay_margin``, lemma B5 of docs/proofs.md).
+first root on the circle (``exact.margins``, lemma B5 of docs/proofs.md).
 
 In the language of frequency, margins say how far the open loop stays from -1, and where. It is
 opened at its force (an admittance at its acceleration), L = N/D, and L(e^(i theta)) is looked at in
-balls (``exact.frequency``, lemma E5). An angle of theta is a frequency of theta/(2 pi T) Hz. The
+balls (``exact.margins``, lemma E5). An angle of theta is a frequency of theta/(2 pi T) Hz. The
 margin of the delay of a held device is that above: an extra delay is no lag alone, for the force
 then acts between the samples.
 """

@@ -47,7 +47,7 @@ from jaxstab.point import closed_loop_poles
 from jaxstab.region import RegionStatus, measures
 from jaxstab.region.batch import Triples, components, cross
 from jaxstab.region.closed_form import Responses, circle_equations
-from jaxstab.region.outline import vertex_roots
+from jaxstab.region.measures import vertex_roots
 
 _Numbers = tuple[Any, Responses]  # of the plant: gamma, delta and the delay
 

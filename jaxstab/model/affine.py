@@ -175,7 +175,7 @@ class Chart(AffineParts):
 def _lowered(part: Factored, pivot: Factored, leading: "arb") -> Factored:
     """A part less so much of another one of its degree that the highest powers cancel."""
     own = part.plus(pivot.scaled(-part.leading / leading))
-    return own._replace(rest=flint.arb_poly(own.rest.coeffs()[: part.degree - sum(own[1:4])]))
+    return own._replace(rest=flint.arb_poly(own.rest.coeffs()[: part.degree - sum(own.known)]))
 
 
 @lru_cache(maxsize=128)

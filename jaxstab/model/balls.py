@@ -87,6 +87,11 @@ class Factored(NamedTuple):
         return int(self.rest.degree()) + self.power + self.at_one + self.at_minus_one + of_windows
 
     @property
+    def known(self) -> tuple[int, int, int]:
+        """The numbers of known roots at 0, 1 and -1, but for those of windows."""
+        return self.power, self.at_one, self.at_minus_one
+
+    @property
     def leading(self) -> "arb":
         """The coefficient of the highest power, which no known factor changes."""
         return self.rest[self.rest.degree()]
@@ -233,7 +238,7 @@ class Triple:
 def _over_shared(parts: Iterable[Factored]) -> "tuple[list[arb_poly], tuple[int, int, int]]":
     """Polynomials over the roots at 0, 1 and -1 that all but the 0 are known to have."""
     plain = [part.without_windows() for part in parts]
-    counts = zip(*(part[1:4] for part in plain if not part.is_zero), strict=True)
+    counts = zip(*(part.known for part in plain if not part.is_zero), strict=True)
     power, at_one, at_minus_one = map(min, counts)
     shared = power, at_one, at_minus_one
     divided = (part if part.is_zero else part.divided(*shared) for part in plain)

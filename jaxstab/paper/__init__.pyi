@@ -1,3 +1,6 @@
+from .facts import LinearValidity as LinearValidity
+from .facts import ValidityStatus as ValidityStatus
+from .facts import linear_validity as linear_validity
 from .rules import PassiveRegion as PassiveRegion
 from .rules import linear_alpha_limit as linear_alpha_limit
 from .rules import linear_condition as linear_condition
@@ -7,8 +10,5 @@ from .rules import passive_region as passive_region
 from .rules import plant_coefficients as plant_coefficients
 from .rules import plus_line as plus_line
 from .rules import routh_hurwitz_condition as routh_hurwitz_condition
-from .validity import LinearValidity as LinearValidity
-from .validity import ValidityStatus as ValidityStatus
-from .validity import linear_validity as linear_validity
 
 __all__: list[str]

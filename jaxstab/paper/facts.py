@@ -1,17 +1,156 @@
-"""The facts about one stable region, in numbers and words."""
+"""The facts about one stable region, and where the linear condition loses its validity (sec. VII).
+
+The first such point is proved. The error of the linear condition (``paper.linear_error``) is
+``level`` on a straight line of walls, which begins at the corner of the boundary curve. With H =
+alpha + gamma and t_r = 1/2 + delay,
+
+    alpha = H - gamma,     beta = t_r (1 + level) H - t_r gamma - delta.
+
+So E3 (``exact.line``) has every place where the curve meets it, by the angle theta of the curve,
+and by how many roots leave the unit circle there as H grows. In theta the curve has the walls with
+fewer roots outside on its left, as (alpha, beta) -> p has a positive determinant, |N|^2 sin(theta).
+Where a pair leaves, the line passes the curve from left to right, hence the curve passes the line
+from right to left. There, for H > 0, the error is larger: it rises through the level where H and
+the change of the roots have one sign. The first rise is at the smallest such theta; it is a point
+of the stable region where a stable interval of the line ends.
+
+At the corner a root lies at z = 1; for gamma = 0, and for delta = 0 with a whole delay or one with
+half a sample, there are two, which the structure of the polynomial need not know.
+"""
 
 from functools import lru_cache, partial
-from typing import Any
+from math import inf, nan, pi
+from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float64, Int8
 
-from jaxstab.numbers import require_x64, without_noise
+from jaxstab.arrays import Array, Numbers, namespace
+from jaxstab.conventions import Status
+from jaxstab.exact.line import LineStatus, stable_pencil
+from jaxstab.model import checked_delay, checked_delta, checked_gamma
+from jaxstab.model.balls import Factored, ball_triple, known_out
+from jaxstab.model.device.parts import remembered
+from jaxstab.model.loop import LoopParameters, unit_loop
+from jaxstab.numbers import checked, require_together, require_x64, without_noise
 from jaxstab.paper.rules import passive_region
-from jaxstab.paper.validity import ValidityStatus, linear_validity
 from jaxstab.region.region import stable_region
 from jaxstab.region.stable_set import RegionStatus, StableRegion, printed_extremes
 from jaxstab.shown import Printed
 
+
+class ValidityStatus(Status):
+    """The status of the point where the linear condition loses its validity.
+
+    Example:
+        >>> jaxstab.paper.ValidityStatus(1).words
+        "a point of the stable region's boundary"
+    """
+
+    NOT_COMPUTED = 0, "not computed"
+    FOUND = 1, "a point of the stable region's boundary"
+    NEVER = 2, "the error never rises through this level: NaN"
+    OFF_THE_EDGE = 3, "on the boundary curve, but the stable region does not reach this point"
+    NOT_PROVED = 4, "rounding hides which point is the first, or its side: NaN"
+
+
+class LinearValidity(NamedTuple):
+    """A point (alpha, beta) of the boundary, its angle on the curve, and a ValidityStatus.
+
+    Example:
+        >>> found = jaxstab.paper.linear_validity(0.02, gamma=0.0, delta=0.0, delay=0.0)
+        >>> round(float(found.alpha), 9)
+        0.038827412
+    """
+
+    alpha: Float64[Array, "*grid"]
+    beta: Float64[Array, "*grid"]
+    theta: Float64[Array, "*grid"]
+    status: Int8[np.ndarray, "*grid"]
+
+
+def linear_validity(
+    level: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers
+) -> LinearValidity:
+    """The boundary point up to which the linear condition errs by at most ``level``.
+
+    It is the first one, along the boundary curve from its corner at alpha = -gamma, where the
+    signed error (alpha_lin - alpha)/(alpha + gamma) rises through ``level``: the circles (2 %) and
+    squares (5 %) of Fig. 7. The absolute value of eq. (24) may reach the level before that, because
+    with damping the linear condition is too careful at small stiffness (by 2.2 % for d = 1, delta =
+    0.015). Such crossings are not returned.
+
+    It is proved, over the whole curve, that this point is the first. Each point has its own status;
+    NOT_PROVED says that 3,072 bits do not tell two roots apart.
+
+    Args:
+        level: relative error in (0, 1e3], any shape; like all arguments it broadcasts. None of them
+            may be traced.
+        gamma, delta, delay: see ``jaxstab.conventions``.
+
+    Returns:
+        LinearValidity of the broadcast shape; NaN where no point was found.
+
+    Raises: see ``jaxstab.conventions``.
+
+    Example:
+        >>> point = linear_validity(0.02, gamma=0.0, delta=0.0, delay=0.0)
+        >>> print(f"{point.alpha:.6f} {point.beta:.6f}")
+        0.038827 0.019802
+
+    Source: sec. VII, eq. (24) and Fig. 7 of Hulin, Preusche, Hirzinger (2008).
+    """
+    require_together(level=level, gamma=gamma, delta=delta, delay=delay)
+    xp = namespace(level, gamma, delta, delay)
+    values = (
+        checked("level", level, 0.0, 1e3, is_open=True),
+        checked_gamma(gamma),
+        checked_delta(delta),
+        checked_delay(delay),
+    )
+    grids = np.broadcast_arrays(*(np.asarray(value, np.float64) for value in values))
+    questions = np.stack([np.ravel(grid) for grid in grids]).T.tolist()
+    rises = [_first_rise(*question) for question in questions]
+    status, *points = np.reshape(rises, (-1, 4)).T.reshape(4, *grids[0].shape)
+    alpha, beta, theta = map(xp.asarray, points)
+    return LinearValidity(alpha, beta, theta, status.astype(np.int8))
+
+
+def _first_rise(
+    level: float, gamma: float, delta: float, delay: float
+) -> tuple[ValidityStatus, float, float, float]:
+    """The status of the first rise, and its alpha, beta and theta."""
+    line = stable_pencil(partial(_line, unit_loop(gamma, delta, delay, None, None), level))
+    if line.status != LineStatus.PROVED or line.horizon < inf:
+        return ValidityStatus.NOT_PROVED, nan, nan, nan
+    stable_ends = {end.value for interval in line.intervals for end in interval}
+    for end in sorted(line.crossings, key=lambda end: (end.angle, end.angle_rest)):
+        change = end.change if 0.0 < end.angle < pi else 0  # a pair, not a real root
+        if end.is_shared or change is None:
+            return ValidityStatus.NOT_PROVED, nan, nan, nan
+        if change * end.value > 0.0:
+            is_found = end.value in stable_ends
+            status = ValidityStatus.FOUND if is_found else ValidityStatus.OFF_THE_EDGE
+            beta = (delay + 0.5) * ((1.0 + level) * end.value - gamma) - delta
+            return status, end.value - gamma, beta, end.angle
+    return ValidityStatus.NEVER, nan, nan, nan
+
+
+@remembered(8)
+def _line(loop: LoopParameters, level: float) -> tuple[Factored, Factored]:
+    """p(z) at the corner, and what H adds to it."""
+    from flint import arb
+
+    triple, lag = ball_triple(loop), arb(loop.delay) + 0.5
+    gamma, delta, delay = loop.slice.values()
+    roots = 2 if gamma == 0.0 or (delta == 0.0 and delay % 1.0 in (0.0, 0.5)) else 1
+    corner = triple.at(-gamma, -(lag * gamma + delta))
+    more = max(roots - corner.at_one, 0)
+    corner = corner._replace(rest=known_out(corner.rest, 1, more), at_one=corner.at_one + more)
+    return corner, triple.stiffness.plus(triple.damping.scaled((1 + arb(level)) * lag))
+
+
+# ---------------------------------------------------------------------------------------- the facts
 DIGITS = 10  # that are printed
 
 _kept_region = lru_cache(8)(stable_region)  # who asks for facts asks for a picture, too

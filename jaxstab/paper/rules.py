@@ -243,7 +243,7 @@ class PassiveRegion:
 
     def contains(self, alpha: Numbers, beta: Numbers) -> Bool[np.ndarray, "*grid"]:
         """True where (alpha, beta) is proved passive; each wall is tested anew."""
-        from jaxstab.exact.small_gain import is_passive
+        from jaxstab.exact.margins import is_passive
 
         grid = wall_grid(alpha=alpha, beta=beta)
         walls = grid.reshape(-1, 2)
@@ -335,7 +335,7 @@ def _boundary_points(directions: Points, delay: float) -> Points:
 
 def _pulled_in(wall: list[float], delta: float, delay: float) -> list[float]:
     """Return a wall that is proved passive, next to one of the boundary, towards no gains."""
-    from jaxstab.exact.small_gain import is_passive
+    from jaxstab.exact.margins import is_passive
 
     share = 1e-12
     while True:

@@ -34,7 +34,7 @@ from jaxstab.model.plant import DELTA_LIMIT, GAMMA_LIMIT, LONGEST_DELAY
 from jaxstab.numbers import checked_number
 from jaxstab.region import measures
 from jaxstab.region.curve import Curve, curve_gains, curve_of, drawn_out, true_angles
-from jaxstab.region.outline import Outline, empty_outline, polygon, survey
+from jaxstab.region.measures import Outline, empty_outline, polygon, survey
 from jaxstab.region.pieces import (
     Centers,
     Passes,

@@ -14,7 +14,7 @@ from jaxstab.model import checked_gain, require_x64
 from jaxstab.numbers import require_together, without_noise
 from jaxstab.region import measures
 from jaxstab.region.curve import Curve
-from jaxstab.region.outline import Outline, loop_ends, polygon_area
+from jaxstab.region.measures import Outline, loop_ends, polygon_area
 from jaxstab.region.pieces import NO_BRANCH
 from jaxstab.shown import number_text, stable_pair
 

@@ -5,7 +5,7 @@ and from four phases of the encoder if there is one. The hand and the device's m
 lowest ends of their ranges, the delay is constant and the longest one. The answer is that of the
 worst start, which it names.
 
-A table of contacts has a dimension for each list of numbers; ``jaxstab.scene.labelled`` computes
+A table of contacts has a dimension for each list of numbers; ``jaxstab.tables`` computes
 ``jaxstab.contact_map`` over their grid, block by block.
 """
 
@@ -25,10 +25,10 @@ from jaxstab.loop.contact import setup_of
 from jaxstab.model import LoopParameters
 from jaxstab.numbers import checked, require_kind
 from jaxstab.scene.answers import GainAnswer, Quantity, basis_of
-from jaxstab.scene.labelled import Variable, computed, table_of, xarray_module
 from jaxstab.scene.loops import Floats, hands_of, loop_of, walls_of
 from jaxstab.scene.scene import Scene, Units
 from jaxstab.shown import shortened
+from jaxstab.tables import Variable, computed, table_of, xarray_module
 
 if TYPE_CHECKING:
     from xarray import Dataset

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxstab.boxes.hands import HandRange
+from jaxstab.boxes.search import HandRange
 from jaxstab.conventions import Verdict
 from jaxstab.exact import wall_verdict
 from jaxstab.loop import Gains, HapticLoop, WallRegion

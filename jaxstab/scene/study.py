@@ -2,7 +2,7 @@
 
 A study varies keys of a scene, or fields of a loop. Each list is a separate dimension, and all
 distributions share the dimension ``sample``: a study with three lists and two distributions has
-four dimensions, and walls are one more. ``jaxstab.scene.labelled`` computes it block by block.
+four dimensions, and walls are one more. ``jaxstab.tables`` computes it block by block.
 
 Within a block, combinations that differ in masses, dampings, stiffnesses and delays alone are one
 loop that has arrays, and walls are asked of all of them at once; devices that are not one mass are
@@ -42,12 +42,11 @@ import jaxstab
 from jaxstab.batches import alike
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gain, HapticLoop, Loop, limits_of
-from jaxstab.motion.settling import SettlingStatus
+from jaxstab.motion.bounds import SettlingStatus
 from jaxstab.numbers import checked, checked_count, checked_number, has_shape
 from jaxstab.region import RegionStatus
 from jaxstab.scene.answers import delay_notes
 from jaxstab.scene.gains import KEYS, GainScene, any_scene
-from jaxstab.scene.labelled import Variable, computed, read, table_of, xarray_module
 from jaxstab.scene.loops import loop_of
 from jaxstab.scene.scene import INNER, TABLES, Scene, Units
 from jaxstab.scene.scene import walls_in as checked_walls
@@ -55,12 +54,17 @@ from jaxstab.shown import shortened
 from jaxstab.tables import (
     Interval,
     Table,
+    Variable,
     check_keys,
     checked_label,
     columns_of,
+    computed,
+    read,
     read_table,
+    table_of,
     unit_of,
     with_value,
+    xarray_module,
 )
 
 if TYPE_CHECKING:

@@ -1,5 +1,0 @@
-"""The best gains."""
-
-from jaxstab.lazy import attach_stub
-
-__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)
