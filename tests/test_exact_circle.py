@@ -14,7 +14,9 @@ from jaxstab.exact.circle import (
     _by_cells,
     _by_powers,
     _Cells,
+    _end,
     _guesses,
+    _known_place,
     _Part,
     _place,
     _sign_on_cell,
@@ -275,6 +277,47 @@ def test_a_cell_with_a_zero_has_no_sign_whichever_derivative_makes_it(order: int
     ends = [np.cos(powers * (middle + side * half)) @ numbers for side in (-1, 1)]
     assert min(ends) < 0.0  # and 1 in the middle
     assert _sign_on_cell(_Cells([flint.arb(c) for c in numbers.tolist()]), cell) == 0
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4])
+def test_a_cell_has_a_sign_where_the_sum_is_little_more_than_it_may_change(order: int) -> None:
+    """By h^order/order! times that derivative, h half of the cell."""
+    cells = _Cells([flint.arb(1)] * 8)
+    nothing, rise = [flint.arb(0)] * cells.count, flint.arb(24)
+    derivatives = [[rise] * cells.count if k == order else nothing for k in range(1, 4)]
+    cells.fourth = rise if order == 4 else flint.arb(0)
+    least = cells.half**order / math.factorial(order) * rise
+    for share, sign in ((0.999, 0), (1.001, 1)):
+        cells.values = [[share * least] * cells.count, *derivatives]
+        assert _sign_on_cell(cells, 5) == sign
+
+
+def unknown_at(places: list[flint.arb]) -> _Part:
+    """A sum of which no sign is known at places."""
+    product = flint.arb_poly([1])
+    for place in places:
+        product *= flint.arb_poly([-place, 1])
+    return _Part(product, flint.arb(0, 1e-30), 32)
+
+
+@pytest.mark.parametrize("count", [0, 1, 8, 9])
+def test_an_end_without_a_sign_is_moved_by_up_to_eight_parts(count: int) -> None:
+    with working_precision(192):
+        ahead = unknown_at([_place(1, moved) for moved in range(count)])
+        moved, sign = _end(1, [0, 0], {0: ahead})
+        assert moved == min(count, 8)
+        assert sign == ahead.sign(_place(1, moved))
+        assert bool(sign) == (count < 9)
+
+
+@pytest.mark.parametrize("count", [0, 1, 4, 5])
+def test_an_interval_is_parted_at_one_of_five_places_about_its_middle(count: int) -> None:
+    places = [flint.arb(k) / 16 for k in range(6, 6 + count)]
+    with working_precision(192):
+        part = unknown_at(places)
+        place, sign = _known_place(part, flint.arb(0), flint.arb(1))
+        assert float(place) == (6 + min(count, 4)) / 16
+        assert bool(sign) == (count < 5)
 
 
 def test_a_zero_that_may_be_at_an_end_is_not_left_out() -> None:

@@ -1,5 +1,7 @@
 """What holds for every loop: scaling, symmetry, and verdicts that no way of asking changes."""
 
+from importlib import import_module
+from pkgutil import walk_packages
 from typing import Any
 
 import numpy as np
@@ -8,6 +10,7 @@ from hypothesis import strategies as st
 
 import jaxstab
 from jaxstab import HapticLoop, Verdict
+from jaxstab.conventions import Status
 from jaxstab.model import by_name
 
 DELAYS = (0.0, 0.5, 2.0)  # few, for each is compiled
@@ -152,3 +155,21 @@ def test_the_region_of_a_free_device_shrinks_with_a_longer_delay(
     shorter = codes_of(alpha, beta, 0.0, damping, float(delay))
     longer = codes_of(alpha, beta, 0.0, damping, float(delay + 1))
     assert not np.any((longer == Verdict.STABLE) & (shorter == Verdict.UNSTABLE))
+
+
+def kinds_of(code: type[Status]) -> list[type[Status]]:
+    below = [kind for one in code.__subclasses__() for kind in kinds_of(one)]
+    return [*code.__subclasses__(), *below]
+
+
+def test_statuses_are_numbered_without_gaps_and_each_has_words_of_its_own() -> None:
+    for module in walk_packages(jaxstab.__path__, "jaxstab."):
+        if not module.name.endswith("__main__"):
+            import_module(module.name)
+    kinds = kinds_of(Status)
+    assert len(kinds) > 10
+    for kind in kinds:
+        codes = [int(status) for status in kind]
+        assert codes == list(range(min(codes), len(codes) + min(codes)))
+        assert min(codes) in (0, 1)
+        assert len({status.words for status in kind}) == len(kind)
