@@ -27,7 +27,7 @@ from benchmarks.truth.random_loops import DeviceLoop, MassLoop, hostile_walls, l
 from jaxstab import Device, HapticLoop, Velocity
 from jaxstab.conventions import Verdict
 from jaxstab.exact.line import LineStatus, StableLine, stable_line
-from jaxstab.exact.poles import spectral_radius, wall_verdict
+from jaxstab.exact.roots import spectral_radius, wall_verdict
 from jaxstab.model.balls import ball_triple
 
 _LOOPS, _SMALL = 2000, 10

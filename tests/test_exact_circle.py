@@ -174,6 +174,15 @@ def test_zeros_of_random_sums_are_those_of_many_points(degree: int) -> None:
             assert abs(value) < 1e-12
 
 
+def test_a_constant_has_no_zeros_and_coefficients_of_1_are_none() -> None:
+    with working_precision(192):
+        nothing = flint.arb(0, 1e-60)
+        assert isolated([flint.arb(0.5), nothing, nothing]) == []
+        assert isolated([nothing, nothing]) is None
+        (found,) = isolated([flint.arb(0.5), flint.arb(1)]) or []
+        assert float(found.angle.mid()) == pytest.approx(2.0 * np.pi / 3.0, rel=1e-15)
+
+
 def test_what_powers_do_not_tell_apart_is_left_to_the_search() -> None:
     double = chosen([1.0, 1.0], [])
     with flint.ctx.workprec(192):

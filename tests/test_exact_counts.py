@@ -30,8 +30,8 @@ from jaxstab.exact.boundary import (
 from jaxstab.exact.circle import zeros
 from jaxstab.exact.line import stable_line
 from jaxstab.exact.margins import delay_margin, is_passive
-from jaxstab.exact.poles import Axis, poles, spectral_radius, stable_over, wall_verdict
 from jaxstab.exact.response import disturbed_responses, motion_settled_after, settled_after
+from jaxstab.exact.roots import Axis, poles, spectral_radius, stable_over, wall_verdict
 from jaxstab.exact.turns import PeriodicLoop, is_growing
 from jaxstab.model.balls import Factored, ball_loop, ball_triple
 from jaxstab.model.device.parts import decided
@@ -144,6 +144,7 @@ CASES: dict[str, tuple[Callable[[], Any], int]] = {
     "row of an undamped hand": (lambda: stable_line(triple_of(PEDAL), (0.0, 5.1), (1.0, 0.0)), 167),
     "ray of a device": (lambda: stable_line(triple_of(HELD), (0.0, 0.0), (1.0, 0.01)), 229),
     "zeros": (turned({7: 1.0}, 0.25), 81),
+    "zeros of degree 36": (turned({36: 1.0}, 0.25), 311),
     "many zeros": (turned({37: 1.0, 3: 0.2}, 0.25), 10_402),
     "zeros that nearly coincide": (turned({5: 1.0}, -1.0 + 2.0**-50), 97),
     "double zeros": (turned({2: 1.0}, 1.0), 7_019),
@@ -163,6 +164,10 @@ CASES: dict[str, tuple[Callable[[], Any], int]] = {
     "amplitude of poles that coincide": (
         lambda: disturbed_responses(EQUAL, 99.0, 0.0, (True, False, True)),
         137,
+    ),
+    "amplitude of an unstable wall": (
+        lambda: disturbed_responses(LATE, 8125.0, 22.0, (True, False, False)),
+        133,
     ),
     "settling": (lambda: settled_after(FILTERED, 303.0, 4.2, "force", 0.02, 5000), 130),
     "settling of a device": (lambda: settled_after(HELD, 304.0, 1.2, "impact", 0.02, 5000), 142),

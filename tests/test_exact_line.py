@@ -222,6 +222,11 @@ def test_polynomials_that_are_their_own_mirror_are_undecided() -> None:
     assert line[:5] == ((), (), 0, 0.0, LineStatus.UNDECIDED)  # complete nowhere
 
 
+def test_a_pair_on_the_circle_that_no_t_moves_is_undecided() -> None:
+    """(z^2 - z + 1) (z - 1/2 + t): the structure knows nothing of the pair."""
+    assert of_polynomials([-0.5, 1.5, -1.5, 1.0], [1.0, -1.0, 1.0]).status == LineStatus.UNDECIDED
+
+
 def test_a_root_that_only_touches_the_circle_is_a_crossing_without_an_angle_of_its_own() -> None:
     # z^3 - 2 z^2 + 2 z + t: Im is sin(theta) (2 cos(theta) - 1)^2. At t = -1 a pair touches the
     # circle at pi/3, and a root passes z = 1.

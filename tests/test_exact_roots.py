@@ -10,7 +10,7 @@ from mpmath import mp, mpf
 from benchmarks.truth.plain import Loop, radius
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop
 from jaxstab import Filter, HapticLoop, Velocity
-from jaxstab.exact.poles import (
+from jaxstab.exact.roots import (
     isolated_roots,
     poles,
     real_or_not,

@@ -14,7 +14,7 @@ from jaxstab import Device, Filter, HapticLoop, Mode, Verdict
 from jaxstab.conventions import Status
 from jaxstab.exact.line import LineStatus
 from jaxstab.exact.margins import DelayStatus, SmallGainStatus
-from jaxstab.exact.poles import (
+from jaxstab.exact.roots import (
     VerdictStatus,
     rational_verdict,
     roots_outside,

@@ -160,6 +160,16 @@ def test_a_gain_that_only_touches_1_may_be_a_crossover() -> None:
     assert angle == pytest.approx(np.pi / 2, rel=1e-15)
 
 
+def test_a_crossover_at_which_the_loop_is_1_leaves_the_others() -> None:
+    """L = 1 + (z^2 + 1)/(2 z^3) = 1 + c e^(-2 i theta), c = cos(theta), is 1 at i."""
+    sides = Factored(flint.arb_poly([1]), 3), Factored(flint.arb_poly([0.5, 0, 0.5, 1]))
+    theta = np.arccos((-1.0 - np.sqrt(33.0)) / 8.0)
+    lag = np.pi + np.angle(1.0 + np.cos(theta) * np.exp(-2j * theta))
+    value, error, angle = readings(lambda: sides).phase
+    assert (value, angle) == pytest.approx((lag, theta), rel=1e-14)
+    assert error < 1e-15
+
+
 def test_a_lead_that_makes_the_loop_unstable_is_the_phase_margin() -> None:
     """L = -a/(z + 1/2), a = 1.2: |L| is 1 at cos(theta) = a^2 - 5/4; L is -1 by arg(z + 1/2)."""
     loop = Loop.from_coefficients(base=[1.0, 0.5], first=[1.0], second=[1.0, 0.0], sample_time=1.0)

@@ -11,7 +11,7 @@ from campaign import many
 from flint import arb, arb_poly, fmpq
 
 from jaxstab.conventions import Verdict
-from jaxstab.exact.poles import Axis, _clearance, stable_over
+from jaxstab.exact.roots import Axis, _clearance, stable_over
 from jaxstab.model.balls import Factored
 
 

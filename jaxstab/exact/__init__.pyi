@@ -11,14 +11,14 @@ from .margins import frequency_response as frequency_response
 from .margins import largest_jitter as largest_jitter
 from .margins import readings as readings
 from .margins import small_gain as small_gain
-from .poles import Number as Number
-from .poles import Poles as Poles
-from .poles import TripleAt as TripleAt
-from .poles import VerdictStatus as VerdictStatus
-from .poles import WallVerdict as WallVerdict
-from .poles import poles as poles
-from .poles import rough_radius as rough_radius
-from .poles import spectral_radius as spectral_radius
-from .poles import wall_verdict as wall_verdict
+from .roots import Number as Number
+from .roots import Poles as Poles
+from .roots import TripleAt as TripleAt
+from .roots import VerdictStatus as VerdictStatus
+from .roots import WallVerdict as WallVerdict
+from .roots import poles as poles
+from .roots import rough_radius as rough_radius
+from .roots import spectral_radius as spectral_radius
+from .roots import wall_verdict as wall_verdict
 
 __all__: list[str]

@@ -22,7 +22,7 @@ from flint import acb, acb_poly, arb, arb_poly, ctx
 from jaxtyping import Bool, Complex128, Float64
 
 from jaxstab.exact.line import StableLine, real_quotient_angles, stable_pencil
-from jaxstab.exact.poles import roots_outside
+from jaxstab.exact.roots import roots_outside
 from jaxstab.model import LoopParameters
 from jaxstab.model.affine import AffineParts, affine_triple
 from jaxstab.model.balls import BallLoop, Factored, Triple, ball_loop

@@ -48,7 +48,7 @@ from typing import NamedTuple
 import numpy as np
 from flint import acb, arb, arb_mat, arb_poly, fmpq
 
-from jaxstab.exact.poles import real_roots, sign_of
+from jaxstab.exact.roots import real_roots, sign_of
 from jaxstab.model.device.parts import remembered, tiny
 
 _OVERLAP = 9  # a cell reaches to 9/8 of its share: the ends of shares may be moved by 1/8

@@ -47,7 +47,7 @@ from flint import acb, acb_poly, arb, arb_poly, ctx
 
 from jaxstab.conventions import MEASURED, Status
 from jaxstab.exact.circle import PATIENT, zeros
-from jaxstab.exact.poles import Number, TripleAt, is_sharp, roots_outside, sign_of
+from jaxstab.exact.roots import Number, TripleAt, is_sharp, roots_outside, sign_of
 from jaxstab.model.balls import Factored
 from jaxstab.model.device.parts import FIRST_BITS, decided, remembered
 from jaxstab.shown import text_with_bound

@@ -68,7 +68,7 @@ from jaxtyping import Complex128, Float64
 from jaxstab.conventions import Status
 from jaxstab.exact.circle import PATIENT, is_positive, zeros
 from jaxstab.exact.line import OnCircle, real_quotient_angles, stable_pencil
-from jaxstab.exact.poles import Number, are_inside, is_sharp
+from jaxstab.exact.roots import Number, are_inside, is_sharp
 from jaxstab.model.balls import BallLoop, Factored
 from jaxstab.model.device.parts import FIRST_BITS, decided, working_precision
 from jaxstab.model.device.sampling import OneSample, states_and_force

@@ -30,7 +30,7 @@ import numpy as np
 from flint import acb, arb, arb_mat, arb_poly, arb_series
 from jaxtyping import Complex128, Float64
 
-from jaxstab.exact.poles import TripleAt, are_inside, is_sharp, isolated_roots, real_or_not
+from jaxstab.exact.roots import TripleAt, are_inside, is_sharp, isolated_roots, real_or_not
 from jaxstab.model.balls import BallLoop, Factored, ball_loop
 from jaxstab.model.device.device import in_steps
 from jaxstab.model.device.discrete import held_steps

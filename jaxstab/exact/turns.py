@@ -20,7 +20,7 @@ from math import ceil, isfinite
 
 import numpy as np
 
-from jaxstab.exact.poles import roots_outside
+from jaxstab.exact.roots import roots_outside
 from jaxstab.model.balls import ball_loop
 from jaxstab.model.device.device import Device
 from jaxstab.model.device.parts import exact, flint, working_precision

@@ -26,8 +26,8 @@ from jaxstab.arrays import Array, Numbers, float_arrays, is_jax, named, namespac
 from jaxstab.conventions import HORIZON, Range, Verdict
 from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.exact.line import LineStatus, StableLine
-from jaxstab.exact.poles import affine_verdict
 from jaxstab.exact.response import motion_settled_after
+from jaxstab.exact.roots import affine_verdict
 from jaxstab.loop.gains import Gain, TwoGains
 from jaxstab.loop.margins import GainMargins, margins_of_gains, stable_pairs
 from jaxstab.loop.region import TOLERANCE, GainRegion, Gains, names_of

@@ -26,7 +26,7 @@ from jaxtyping import Float64, Int8
 from jaxstab.arrays import Array, Numbers, named
 from jaxstab.conventions import Range, Verdict
 from jaxstab.exact.margins import SmallGainStatus, largest_jitter, small_gain
-from jaxstab.exact.poles import wall_verdict
+from jaxstab.exact.roots import wall_verdict
 from jaxstab.exact.turns import PeriodicLoop, is_growing, segments_of
 from jaxstab.loop.region import TOLERANCE, WallLimits, wall_region
 from jaxstab.model import LoopParameters

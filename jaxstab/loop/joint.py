@@ -7,7 +7,7 @@ greatest, and of all gains between two:
 
 - p(z) is a polynomial in 1/J: of degree 1 without damping and spring, where it depends on kp/J and
   kd/J alone; of degree n in n steps of an engine, and of 4 n with Runge and Kutta's rule. Where
-  damping c is implicit, it is one in 1/(J + h c). That is lemma E6 (``exact.poles``).
+  damping c is implicit, it is one in 1/(J + h c). That is lemma E6 (``exact.roots``).
 - Else a held joint has boxes, as hands of a range have (lemma B20); so has a delay that varies.
 
 The least inertia is searched as other values of one quantity are (``loop.backwards``).
@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 from jaxstab.boxes.search import HandRange
 from jaxstab.conventions import Verdict
 from jaxstab.exact import wall_verdict
-from jaxstab.exact.poles import Axis, stable_over
+from jaxstab.exact.roots import Axis, stable_over
 from jaxstab.loop.affine import Loop, simulated_pd
 from jaxstab.loop.backwards import Scan, stable_values
 from jaxstab.loop.hands import LoopsWithHands

@@ -32,7 +32,7 @@ from jaxstab.arrays import Array, is_any_jax, is_any_traced, leaves, namespace, 
 from jaxstab.batches import ahead, alike, in_float64
 from jaxstab.conventions import Verdict
 from jaxstab.exact import TripleAt
-from jaxstab.exact.poles import roots_outside
+from jaxstab.exact.roots import roots_outside
 from jaxstab.loop.affine import GainLimits, Loop
 from jaxstab.model import LoopParameters, require_x64
 from jaxstab.model.affine import AdmittanceParts, affine_triple

@@ -15,7 +15,7 @@ from jaxstab.arrays import Array, Numbers, constant, float_arrays, is_any_jax, n
 from jaxstab.batches import MANY_COEFFICIENTS, compiled
 from jaxstab.conventions import Verdict
 from jaxstab.exact import spectral_radius
-from jaxstab.exact.poles import affine_verdict
+from jaxstab.exact.roots import affine_verdict
 from jaxstab.model.affine import GivenParts, affine_triple
 from jaxstab.numbers import require_unmasked, require_x64
 from jaxstab.point.poles import companion_poles

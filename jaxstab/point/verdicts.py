@@ -6,7 +6,7 @@ A verdict takes up to three steps, each for the points that the one before leave
    (``schur_cohn``; lemmas V2 to V4, and V10 for loops with filters and devices). It
    decides all but points next to the boundary.
 2. The same recursion in pairs of float64, with 106 bits.
-3. On request (``resolve="exact"``), the same recursion in balls (``exact.poles``, lemma E1), one
+3. On request (``resolve="exact"``), the same recursion in balls (``exact.roots``, lemma E1), one
    point at a time.
 
 The loop of the paper has few coefficients, whatever the delay, so a step costs a constant number of

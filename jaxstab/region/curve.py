@@ -41,7 +41,7 @@ from jaxstab.exact.boundary import (
     root_lines,
     undamped_modes,
 )
-from jaxstab.exact.poles import wall_verdict
+from jaxstab.exact.roots import wall_verdict
 from jaxstab.model import LoopParameters
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.rounding import UNIT

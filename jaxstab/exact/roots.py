@@ -1,4 +1,4 @@
-"""E1, E6, E2. The poles of a wall: how many are outside, of a range of loops too, and where.
+"""E1, E6, E2. The roots of p(z): how many are outside, for a range of loops too, and where.
 
 E1. The number of roots of p(z) outside the unit circle. The criterion of Schur (1917) and Cohn
 (1922). Let p = a_n z^n + ... + a_0 be real and p* the same coefficients backwards; on the circle
@@ -100,7 +100,7 @@ def wall_verdict(
     With ``may_drift`` one root that the structure knows at z = 1 does not count.
 
     Example:
-        >>> from jaxstab.exact.poles import wall_verdict
+        >>> from jaxstab.exact.roots import wall_verdict
         >>> from jaxstab.model.balls import ball_triple
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
         >>> wall_verdict(lambda: ball_triple(loop), 50000.0, 20.0).verdict
@@ -224,7 +224,7 @@ def stable_over(p: Callable[[float, float], Factored], first: Axis, second: Axis
 
     Example:
         >>> from flint import arb_poly
-        >>> from jaxstab.exact.poles import Axis, stable_over
+        >>> from jaxstab.exact.roots import Axis, stable_over
         >>> from jaxstab.model.balls import Factored
         >>> def p(a: float, b: float) -> Factored:  # inside of |a| < 1 + b, b < 1
         ...     return Factored(arb_poly([b, a, 1]))
