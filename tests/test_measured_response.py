@@ -254,6 +254,20 @@ def test_what_was_not_measured_is_undecided() -> None:
         assert measured(case, case.response(HERTZ)).verdict(*wall) == MeasuredVerdict.STABLE
 
 
+def test_walls_beyond_a_resonance_between_two_frequencies_are_undecided() -> None:
+    """A held device at 3.4 Hz, measured every 2.5 Hz, turns from 0.67 to 3.2 Hz by 180 degrees."""
+    case = known(mass=0.73, damping=0.25, stiffness=342.0, delay=1.6, window=5)
+    coarse, fine = np.linspace(0.67, 500.0, 200), np.linspace(0.5, 500.0, 20_000)
+    limits = []
+    for hertz in (coarse, fine):
+        device = Device.from_response(hertz, case.response(hertz))
+        loop = HapticLoop(device=device, sample_time=1e-3, velocity=case.velocity)
+        assert not case.is_stable(500.0, 0.0)
+        assert loop.verdict(500.0, 0.0) == (3 if hertz is coarse else MeasuredVerdict.UNSTABLE)
+        limits.append(loop.stiffness_intervals(0.0).intervals[-1].high.value)
+    assert 0.0 < limits[0] <= limits[1]
+
+
 def test_a_delay_beside_the_measured_one_counts() -> None:
     case = CASES["a mass"]
     later = case._replace(whole=case.whole + 3)

@@ -7,9 +7,11 @@ by the argument principle the loop has as many poles outside as 1 + L, from ther
 makes half turns. A turn is known where 1 + L goes from one frequency to the next by less than 90
 degrees: -1 is then outside of the circle that has the piece of L between them as its diameter. With
 a relative error e each value of 1 + L may be asin(e |L|/|1 + L|) further; what is left below 90
-degrees holds for every response within it. Before the first frequency |L| must be above 1, so that
-1 + L turns as L does, or the device rests on a spring; after the last one, where that is not half
-of the sampling rate, |L| must stay below 1 with a G that is no larger. All else is UNDECIDED.
+degrees holds for every response within it. A resonance between two frequencies turns G by 180
+degrees, which 1 + L need not show: where G turns by 90, |L| must be below 1 on both sides. Before
+the first frequency |L| must be above 1, so that 1 + L turns as L does, or the device rests on a
+spring; after the last one, where that is not half of the sampling rate, |L| must stay below 1 with
+a G that is no larger. All else is UNDECIDED.
 
 That the response does between its frequencies what they suggest is not proved, so no answer is.
 
@@ -152,6 +154,7 @@ class MeasuredLoop(NamedTuple):
     def _codes(self, walls: Float64[np.ndarray, "wall 2"]) -> Int8[np.ndarray, " wall"]:
         opened = self.opened(walls)
         below, size = 1.0 + opened, abs(opened)
+        is_passed = abs(np.angle(self.response[1:] / self.response[:-1])) >= 0.5 * pi
         with np.errstate(all="ignore"):
             spread = np.arcsin(np.minimum(self.error * size / abs(below), 1.0))
             steps = np.angle(below[:, 1:] / below[:, :-1])
@@ -170,6 +173,7 @@ class MeasuredLoop(NamedTuple):
         widest = np.max(abs(steps) + spread[:, 1:] + spread[:, :-1], axis=1)
         rest = abs(walls) @ self.most * abs(self.response[-1]) * (1.0 + self.error[-1])
         is_known &= (np.maximum(widest, last) < 0.5 * pi) & (rest < 1.0)
+        is_known &= ~np.any(is_passed & (np.maximum(size[:, 1:], size[:, :-1]) >= 1.0), axis=1)
         is_known &= walls[:, 0] > self.resting
         codes = np.where(count == 0.0, Verdict.STABLE, Verdict.UNSTABLE)
         return np.where(is_known, codes, Verdict.UNDECIDED).astype(np.int8)
