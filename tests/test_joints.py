@@ -502,6 +502,17 @@ def test_55_safe_gains_have_a_factor_of_two_left(tmp_path: Path) -> None:
     assert done.stdout.count(" stable ") == 2
 
 
+@pytest.mark.parametrize("name", ["1", "on", "1e3", "~"])
+def test_55_names_of_joints_are_texts_in_files_of_gains(name: str, tmp_path: Path) -> None:
+    robot, safe, own = (tmp_path / end for end in ("arm.xml", "safe.yaml", "own.yaml"))
+    robot.write_text(ARM.format(**PLAIN).replace("elbow", name))
+    timing = ["--rate", "500", "--delay", "2e-3"]
+    assert run("joints", robot, *timing, "--safe-gains", safe).exit_code == 1
+    own.write_text(f"{name}: {{kp: 2, kd: 1}}")
+    for file, stable in ((safe, 2), (own, 1)):
+        assert run("joints", robot, *timing, "--gains", file).stdout.count(" stable ") == stable
+
+
 def test_55_what_lacks_armature_is_stable_with_it() -> None:
     _, elbow = answered((40.0, 4.0))
     missing = elbow.missing_armature

@@ -159,13 +159,16 @@ def read_gains(file: str | PathLike[str]) -> Any:
     yaml = optional("yaml")
 
     class Once(yaml.SafeLoader):  # type: ignore[misc, name-defined]
-        """YAML in which no key is given twice; the last one would count."""
+        """YAML in which keys are texts, such as 1 or on, and none is given twice."""
 
         def construct_mapping(self, node: Any, deep: bool = False) -> Any:
             names = [str(key.value) for key, _ in node.value]
             for name in names:
                 if names.count(name) > 1:
                     raise ValueError(f"{file} gives {shortened(name)} twice; give each key once.")
+            for key, _ in node.value:
+                if isinstance(key, yaml.ScalarNode) and not key.tag.endswith(":merge"):
+                    key.tag = "tag:yaml.org,2002:str"
             return super().construct_mapping(node, deep)
 
     # PyYAML takes 1e3, without a point and a sign, for a text.
