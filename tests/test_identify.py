@@ -577,6 +577,22 @@ def test_a_servo_with_another_gain_does_not_fit() -> None:
             jaxstab.identify_servo(**columns, kp=20.0, kd=0.6, sample_time=2e-3)
 
 
+@pytest.mark.parametrize(("late", "period"), [(0, 2e-3), (2, 2e-3), (3, 2e-3), (0, 1e-3)])
+def test_what_moves_before_the_set_point_is_no_noise_of_a_servo(late: int, period: float) -> None:
+    """Set points that are logged rows late, or a wrong sample time, give a third less inertia."""
+    setpoint, position = servo(rows=100)
+    found = jaxstab.identify_servo(
+        setpoint=np.append(np.full(late, 0.2), setpoint)[: len(setpoint)],
+        position=position + np.random.default_rng(1).normal(0.0, 1e-5, len(position)),
+        kp=20.0,
+        kd=0.6,
+        sample_time=period,
+    )
+    is_right = not late and period == 2e-3
+    assert (found.mass.low <= 0.01 <= found.mass.high) == is_right
+    assert ("not white" in found.warning) == bool(found.warning) != is_right
+
+
 def test_the_command_fits_a_servo_and_writes_its_scene(tmp_path: Path) -> None:
     setpoint, position = servo(window=5)
     times = 2e-3 * np.arange(len(setpoint))

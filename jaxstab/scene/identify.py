@@ -338,12 +338,18 @@ def identify_servo(
     values = found.x * sizes
     mass, damping, late, _ = map(Estimate, values, values - half, values + half)
     noise = _explained(resolution, abs(step)) * float(np.linalg.norm(response))
-    if not resolution and still:  # how much it shakes before the step
-        noise = max(noise, _ODD * _rms(step * errors[:still]))
+    if not resolution and still:
+        noise = max(noise, _ODD * _shaking(measured[:still], step * errors[:still]))
     return _identified(
         [mass, damping, _NONE, _NONE, late.times(period, 0.0)], period, resolution, noise,
         (velocity, nan), "", measured[None], fitted[None],
     )  # fmt: skip
+
+
+def _shaking(still: Rows, errors: Rows) -> float:
+    """The noise of readings before the step: neither motion there, nor a rest that is off."""
+    most = 3.0  # times the spread of the first three quarters of these rows
+    return min(_rms(errors), most * float(np.std(still[: len(still) - len(still) // 4])))
 
 
 def _of_one_error(loop: HapticLoop, gains: tuple[float, float], count: int) -> Rows:
