@@ -135,9 +135,13 @@ def program(degree: int, *, outlines: bool = False) -> Callable[[Triples], Answe
 
 def components(triples: Triples, *, outlines: bool) -> Answers:
     """Return extreme walls of the components that hold small gains, and their outlines."""
-    refined = 64  # loops at once: what they need stays in the cache
+    count = len(triples.angles)
+    refined = min(64, count)  # loops at once: what they need stays in the cache
     scans = lax.map(_scan, triples)
-    solved = lax.map(lambda pair: _extremes(*pair), (triples, scans), batch_size=refined)
+    # The first ones again fill up the last batch: a smaller one would be compiled on its own.
+    pairs = jax.tree.map(lambda x: jnp.append(x, x[: -count % refined], axis=0), (triples, scans))
+    solved = lax.map(lambda pair: _extremes(*pair), pairs, batch_size=refined)
+    solved = jax.tree.map(lambda x: x[:count], solved)
     pieces: _Component = solved[0]
     extremes: Extremes = solved[1]
     if not outlines:
