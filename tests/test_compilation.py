@@ -107,6 +107,37 @@ def in_single_precision() -> dict[str, str]:
     return printed_by(IN_SINGLE_PRECISION, *sorted(COMPUTING_CALLS), JAX_ENABLE_X64="0")
 
 
+TRACED_TWICE = """
+import json
+from collections import Counter
+import jax, jax.numpy as jnp
+import jaxstab
+
+loop = jaxstab.HapticLoop(device_mass=0.2, device_damping=0.1, sample_time=1e-3)
+questions = {
+    "limits_of": lambda mass: jaxstab.limits_of(loop, device_mass=mass).stiffness,
+    "verdict": lambda mass: loop.verdict(1e4 * mass, 5.0),
+    "spectral_radius": lambda mass: loop.spectral_radius(1e4 * mass, 5.0).value,
+}
+traced = Counter()
+for name, question in questions.items():
+
+    def counted(mass):
+        traced[name] += 1
+        return question(mass)
+
+    program = jax.jit(counted)
+    for _ in range(2):
+        program(jnp.array([0.2, 0.25]))
+print(json.dumps(traced))
+"""
+
+
+def test_a_first_answer_inside_a_program_does_not_have_it_compiled_again() -> None:
+    """As importing optimistix there does, which defines options of JAX."""
+    assert set(printed_by(TRACED_TWICE, JAX_ENABLE_X64="1").values()) == {1}
+
+
 @pytest.mark.parametrize("name", sorted(COMPUTING_CALLS.keys() - {"trace_boundary"}))
 def test_plain_numbers_are_answered_without_jax_as_with_it(name: str) -> None:
     assert "JAX was asked for" not in without_jax()[name]

@@ -39,11 +39,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jax import lax
 from jaxtyping import Bool, Float64
 
-from jaxstab.arrays import Array, repeat
+from jaxstab.arrays import Array, repeat, repeat_while
 from jaxstab.batches import LEAN, compiler_options
 from jaxstab.region.pieces import MARGIN, Branch
 from jaxstab.rounding import UNIT
@@ -351,9 +350,8 @@ def _corners_of(loop: Triples, ends: _Ends, sense: Array, size: Array) -> _Corne
     partner = jnp.stack([theta[1][preceding], theta[0][following]])
     is_mutual = preceding[following] == jnp.arange(SLOTS)
 
-    def newton(angles: Array, end: tuple[Array, Array]) -> Array:
+    def newton(kind: Array, is_fixed: Array, angles: Array) -> Array:
         """Return the next angles of a corner, or of an end on a line and unchanged its partner."""
-        kind, is_fixed = end
         walls, slopes = _with_slopes(loop, angles)
         to_line, rises = _margins(loop, walls[:, 0]), loop.ends[:, 1:] @ slopes[:, 0]
         line = jnp.where(kind == Branch.Z_PLUS_ONE, 0, 1)
@@ -366,7 +364,11 @@ def _corners_of(loop: Triples, ends: _Ends, sense: Array, size: Array) -> _Corne
 
     start = jnp.stack([theta, partner], axis=-1)
     fixed = pinned | ~ends.exists
-    solution, is_solved = jax.vmap(jax.vmap(partial(_root, newton)))(start, (branch, fixed))
+
+    def solve(kind: Array, is_fixed: Array, start: Array) -> tuple[Array, Array]:
+        return _root(partial(newton, kind, is_fixed), start)
+
+    solution, is_solved = jax.vmap(jax.vmap(solve))(branch, fixed, start)
     moved = abs(solution[..., 0] - theta) <= width + _SLACK
     is_solved = pinned | (is_solved & moved)
     theta = jnp.where(pinned, theta, solution[..., 0])
@@ -408,14 +410,24 @@ def _missed(loop: Triples, ends: _Ends) -> Array:
     return jnp.where(distance[0] > apart, angles, jnp.nan)
 
 
-def _root(newton: Any, start: Any, args: Any) -> tuple[Any, Array]:
-    """Return the fixed point of Newton's step, and whether it was reached."""
-    newton_steps = 24
-    solver: Any = optx.FixedPointIteration(rtol=_TOLERANCE, atol=_TOLERANCE)
-    solution: Any = optx.fixed_point(
-        newton, solver, start, args=args, max_steps=newton_steps, throw=False
-    )
-    return solution.value, solution.result == optx.RESULTS.successful
+def _root(newton: Callable[[Array], Array], start: Array) -> tuple[Array, Array]:
+    """Return the fixed point of Newton's step, and whether it was reached.
+
+    By no library: an import while a user's function is traced would have it compiled again.
+    """
+    most = 24  # steps
+
+    def step(state: tuple[Array, ...]) -> tuple[Array, ...]:
+        place, _, count = state
+        moved = newton(place)
+        away = abs(moved - place) / (_TOLERANCE * (1.0 + abs(moved)))
+        return moved, jnp.max(away), count + 1
+
+    def is_open(state: tuple[Array, ...]) -> Array:
+        return (state[1] >= 1.0) & (state[2] < most)  # not where a step led to NaN
+
+    place, away, _ = repeat_while(is_open, step, (start, jnp.array(jnp.inf), jnp.array(0)))
+    return place, away < 1.0
 
 
 def _fall(values: Any, start: Array, low: Array, high: Array) -> tuple[Array, Array]:
@@ -425,16 +437,16 @@ def _fall(values: Any, start: Array, low: Array, high: Array) -> tuple[Array, Ar
     method that lead out of what is between them are halvings instead.
     """
 
-    def step(place: tuple[Array, Array, Array], _: None) -> tuple[Array, Array, Array]:
+    def step(place: Array) -> Array:
         theta, low, high = place
         value, slope = values(theta)
         low, high = jnp.where(value > 0.0, theta, low), jnp.where(value > 0.0, high, theta)
         newton = theta - value / slope
         theta = jnp.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
-        return theta, low, high
+        return jnp.stack([theta, low, high])
 
-    (theta, _, _), is_reached = _root(step, (start, low, high), None)
-    return theta, is_reached
+    place, is_reached = _root(step, jnp.stack([start, low, high]))
+    return place[0], is_reached
 
 
 class _Links(NamedTuple):
