@@ -222,6 +222,12 @@ def test_polynomials_that_are_their_own_mirror_are_undecided() -> None:
     assert line[:5] == ((), (), 0, 0.0, LineStatus.UNDECIDED)  # complete nowhere
 
 
+def test_real_roots_cross_the_circle_at_its_ends() -> None:
+    """z - 1/2 + t."""
+    crossings = of_polynomials([-0.5, 1.0], [1.0]).crossings
+    assert [(end.value, end.angle) for end in crossings] == [(-0.5, 0.0), (1.5, np.pi)]
+
+
 def test_a_pair_on_the_circle_that_no_t_moves_is_undecided() -> None:
     """(z^2 - z + 1) (z - 1/2 + t): the structure knows nothing of the pair."""
     assert of_polynomials([-0.5, 1.5, -1.5, 1.0], [1.0, -1.0, 1.0]).status == LineStatus.UNDECIDED

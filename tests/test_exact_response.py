@@ -48,6 +48,8 @@ def test_sums_are_those_of_50_digits(case: str, by_powers: bool) -> None:
         found = disturbed_responses(loop, *numbers[:2], (True, True, False))
     assert found is not None
     assert (found.modes is None) == by_powers
+    if by_powers:  # x^m mod p tells terms from those before once the numerator has ended
+        assert found.late > wall.whole.degree()
     sums = found.sums(np.eye(4), np.eye(2))  # position, another state, acting and arriving force
     for of_input, cause in zip(sums, ("error", "pushed"), strict=True):
         expected = exact_sums(case, cause)

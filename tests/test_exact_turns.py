@@ -1,5 +1,6 @@
 """V10: the matrices of delays in turn, against a mass whose forces arrive one by one."""
 
+from dataclasses import replace
 from itertools import pairwise
 from math import inf
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from jaxstab import HapticLoop
+from jaxstab import HapticLoop, Velocity
 from jaxstab.exact.turns import PeriodicLoop, is_growing
 
 T, MASS, DAMPING, STIFFNESS = 1e-3, 0.25, 0.1, 40.0
@@ -52,6 +53,24 @@ def test_a_turn_moves_a_mass_as_its_forces_arrive(
     largest = np.abs(truth).max()
     assert np.abs(found).max() == pytest.approx(largest, rel=1e-9)
     assert is_growing(loop, delays) == (largest > 1.0)
+
+
+@pytest.mark.parametrize("samples", [1, 2, 5])
+def test_without_a_delay_a_turn_of_a_window_has_the_roots_of_the_loop(samples: int) -> None:
+    """(z^2 - tr z + det) z^n + N (K z^n + B (z^n - 1)/(n T)), the plant by SciPy."""
+    loop = replace(LOOP, velocity=Velocity.difference(samples=samples))
+    rates = np.array([[0.0, 1.0, 0.0], [-STIFFNESS / MASS, -DAMPING / MASS, 1.0 / MASS], [0.0] * 3])
+    held = expm(rates * T)
+    push = held[:2, 2]
+    above = [push[0], held[0, 1] * push[1] - held[1, 1] * push[0]]
+    wall = np.zeros(samples + 1)
+    wall[[0, -1]] = 300.0 + 2.0 / (samples * T), -2.0 / (samples * T)
+    below = [1.0, -np.trace(held[:2, :2]), np.linalg.det(held[:2, :2])]
+    known = np.polyadd(np.polymul(below, [1.0, *[0.0] * samples]), np.polymul(above, wall))
+    (step,) = PeriodicLoop.from_loop(loop, 300.0, 2.0).rounded().steps([0.0])
+    found = np.linalg.eigvals(step)
+    for root in np.roots(known):
+        assert np.abs(found - root).min() < 1e-8
 
 
 def test_turns_in_balls_are_those_in_floats() -> None:

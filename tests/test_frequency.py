@@ -170,6 +170,14 @@ def test_a_crossover_at_which_the_loop_is_1_leaves_the_others() -> None:
     assert error < 1e-15
 
 
+def test_a_loop_above_1_at_half_the_sampling_rate_has_at_most_a_sample_of_delay() -> None:
+    """L = 0.6 (z - 0.9)/z: z^2 + 0.6 z - 0.54, a sample later, has a root at -1.09."""
+    sides = Factored(flint.arb_poly([1]), 1), Factored(flint.arb_poly([-0.54, 0.6]))
+    value, error, angle = readings(lambda: sides).delay
+    assert (value, angle) == (1.0, np.pi)
+    assert error < 1e-15
+
+
 def test_a_lead_that_makes_the_loop_unstable_is_the_phase_margin() -> None:
     """L = -a/(z + 1/2), a = 1.2: |L| is 1 at cos(theta) = a^2 - 5/4; L is -1 by arg(z + 1/2)."""
     loop = Loop.from_coefficients(base=[1.0, 0.5], first=[1.0], second=[1.0, 0.0], sample_time=1.0)
