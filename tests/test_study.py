@@ -18,7 +18,7 @@ from commands import assert_one_sentence, run, run_code
 from scipy import stats
 
 import jaxstab
-from jaxstab import HapticLoop, Verdict, tables
+from jaxstab import HapticLoop, Velocity, Verdict, tables
 from jaxstab.cli.options import processes
 from jaxstab.pictures.scene import study_figure
 from jaxstab.results import RegionStatus
@@ -562,6 +562,20 @@ def test_a_safety_that_is_not_applied_is_said() -> None:
 
 
 # Bad input: one sentence each, before anything is computed.
+
+
+@pytest.mark.parametrize(
+    ("key", "words"),
+    [
+        ("velocity", "velocity cannot vary in a study of a loop; give a scene"),
+        ("device", "or ask limits_of for a list of loops"),
+        ("mode", "mode is unknown; known are device_mass, .*, sample_time"),
+    ],
+)
+def test_keys_of_a_loop_that_are_no_numbers_are_refused(key: str, words: str) -> None:
+    loop = HapticLoop(device_mass=0.2, device_damping=0.1, sample_time=1e-3)
+    with pytest.raises(ValueError, match=words):
+        jaxstab.study(loop, {key: [Velocity.difference(samples=3)]})
 
 
 @pytest.mark.parametrize(

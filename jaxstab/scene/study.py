@@ -316,10 +316,10 @@ def plan_study(
     if not over:
         raise ValueError("over is empty; give at least one key that varies.")
     source = _Source(_table_of(of))
+    for key in over:
+        source.check_key(key)
     ranges = {key: own for key, own in source.ranges.items() if key not in over}
     given = {key: values_of(key, own) for key, own in {**over, **ranges}.items()}
-    for key in given:
-        source.check_key(key)
     gains = source.walls if walls is None else _checked_walls(walls)
     wanted = _wanted(answers, gains, source.answers)
     seconds = _seconds_of_a_loop(source, given, wanted, len(gains))
@@ -735,8 +735,12 @@ class _Source:
 
     def check_key(self, key: str) -> None:
         if self.is_loop:
-            names = [*self.numbers, *(f.name for f in fields(HapticLoop) if f.name != "delay")]
-            check_keys("", [key], list(dict.fromkeys(names)))
+            if key in ("velocity", "position", "device"):
+                raise ValueError(
+                    f"{key} cannot vary in a study of a loop; give a scene, of which the numbers "
+                    "of its filters and device can, or ask limits_of for a list of loops."
+                )
+            check_keys("", [key], [*self.numbers, "sample_time"])
         elif (section := key.partition(".")[0]) in ("walls", "gains"):
             what = "pair of gains" if section == "gains" else "wall"
             raise ValueError(f"{key} cannot vary in a study; give a {what} for each value.")
