@@ -593,7 +593,6 @@ REFUSALS = [
         ).region(),
         "both gains act alike",
     ),
-    (lambda: jaxstab.pid(held(), kp=5.0, rule="forward").limits(), "boundary is straight lines"),
     (
         lambda: jaxstab.Loop.from_coefficients(base=[1], first=[0], second=[1], sample_time=1.0),
         "first is 0",

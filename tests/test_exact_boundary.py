@@ -23,7 +23,7 @@ from jaxstab.exact.boundary import (
     root_lines,
     undamped_modes,
 )
-from jaxstab.exact.line import cosines_of
+from jaxstab.exact.line import _cosines_of
 from jaxstab.model.balls import Factored
 from jaxstab.model.loop import unit_loop
 
@@ -207,7 +207,7 @@ def test_a_cosine_sum_of_parts_with_one_phase_is_0() -> None:
     """(z - 1)^2/z is real on all of the circle."""
     one = flint.arb_poly([1])
     parts = Factored(one, at_one=2), Factored(one, power=1)
-    assert all(c == 0 for c in cosines_of(*parts))
+    assert all(c == 0 for c in _cosines_of(*parts))
 
 
 def test_modes_that_gains_hardly_move_are_known_to_more_digits_than_a_float_has() -> None:

@@ -255,6 +255,30 @@ def test_masses_that_are_all_stable_have_a_least_one_of_zero() -> None:
     assert low.value == 0.0
 
 
+def test_a_region_that_is_not_resolved_leaves_the_intervals_of_each_gain() -> None:
+    """The forward rule at one kp: the boundary of ki and kd is straight lines alone.
+
+    p = z^2 (z - 1) D + N (kp z (z - 1) + ki T z + kd (z - 1)^2/T), of a free mass a sample late.
+    """
+    kp, kd, period = 5000.0, 20.0, 1e-3
+    tables = pid({"kp": kp, "rule": "forward"}, at_kd=kd)
+    answer = answered(tables)
+    assert "was not resolved" in answer.values["limits"]
+    low, high = answer.as_json()["at_given_kd"]["ki_limits"]
+    rate = 0.1 / 0.25 * period
+    slow = np.exp(-rate)
+    below = np.polymul([1.0, -1.0], [1.0, -slow])
+    above = np.array([rate - 1.0 + slow, 1.0 - slow - rate * slow]) * period**2 / rate**2 / 0.25
+
+    def radius(ki: float) -> float:
+        gains = [kp + kd / period, ki * period - kp - 2.0 * kd / period, kd / period]
+        p = np.polyadd(np.polymul(below, [1.0, -1.0, 0.0, 0.0]), np.polymul(above, gains))
+        return float(np.abs(np.roots(p)).max())
+
+    assert low == 0.0
+    assert radius(0.999 * high) < 1.0 < radius(1.001 * high)
+
+
 def test_54_a_safety_moves_all_limits_to_the_stable_side() -> None:
     for tables in (loop(JOINT | {"substeps": 4}), loop(ROBOT)):
         plain = answered(tables).as_json()

@@ -21,7 +21,7 @@ import numpy as np
 from flint import acb, acb_poly, arb, arb_poly, ctx
 from jaxtyping import Bool, Complex128, Float64
 
-from jaxstab.exact.line import StableLine, cosines_of, real_quotient_angles, stable_pencil
+from jaxstab.exact.line import StableLine, real_quotient_angles, stable_pencil
 from jaxstab.exact.roots import roots_outside
 from jaxstab.model import LoopParameters
 from jaxstab.model.affine import AffineParts, affine_triple
@@ -335,12 +335,6 @@ def _poles(loop: ScaledLoop) -> "list[arb]":
             return []
     with working_precision(_LAST_BITS):
         return real_quotient_angles(*loop.balls().walls) or []
-
-
-def is_real_everywhere(loop: ScaledLoop) -> bool:
-    """True if V is real on all of the circle: all of the boundary is straight, without a curve."""
-    with working_precision(_LAST_BITS):
-        return all(c.contains(0) for c in cosines_of(*loop.balls().walls))
 
 
 def _is_real(loop: ScaledLoop, pole: "arb") -> bool:

@@ -255,7 +255,7 @@ def _end(crossing: Crossing) -> End:
 
 def real_quotient_angles(p0: Factored, q: Factored) -> "list[arb] | None":
     """The angles in (0, pi) where q/p0 is real, 0 or infinite, in order; None for more bits."""
-    places = zeros(cosines_of(p0, q), is_last_try=ctx.prec >= PATIENT)
+    places = zeros(_cosines_of(p0, q), is_last_try=ctx.prec >= PATIENT)
     if places is None:
         return None
     windows = {Fraction(2 * j, n) for n in p0.windows + q.windows for j in range(1, (n + 1) // 2)}
@@ -271,7 +271,7 @@ def _crossings(line: _Line, *, is_last_try: bool) -> tuple[list[Crossing], float
     if p0.is_zero or q.is_zero:  # no t moves a root; t = 0 may leave nothing of p
         return [Crossing(arb(0), arb("nan"), None)] * p0.is_zero, inf
     turn = p0.at_one - q.at_one
-    places = zeros(cosines_of(p0, q), is_last_try=is_last_try)
+    places = zeros(_cosines_of(p0, q), is_last_try=is_last_try)
     if places is None:
         return None
     above, below = OnCircle.of(p0), OnCircle.of(q)
@@ -316,7 +316,7 @@ def _real_sign(p: Factored, angle: "arb") -> int:
     return sign
 
 
-def cosines_of(p0: Factored, q: Factored) -> "list[arb]":
+def _cosines_of(p0: Factored, q: Factored) -> "list[arb]":
     """c(theta) of p0 and q: the sum of Im, or for an odd turn of Re, of their rests, divided.
 
     The terms are g_j e^(i w theta/2), w = 2j + phase. Their sines and cosines, over those of theta

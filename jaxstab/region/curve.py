@@ -38,7 +38,6 @@ from jaxstab.exact.boundary import (
     ScaledLoop,
     curve_around,
     curve_parts,
-    is_real_everywhere,
     root_lines,
     undamped_modes,
 )
@@ -184,12 +183,6 @@ def curve_of(loop: ScaledLoop) -> Curve:
         raise ValueError(
             "the stable gains are not bounded: both gains act alike, or one of them does not act. "
             "Ask for intervals and verdicts."
-        )
-    if not len(parts.poles) and is_real_everywhere(loop):
-        raise ValueError(
-            "the quotient of both gains' parts is real on all of the unit circle, so that the "
-            "boundary is straight lines alone, which have no region here. Ask for intervals and "
-            "verdicts; of a PID, give another rule."
         )
     order = np.arange(float(parts.straight.shape[1]))
     moved = np.zeros_like(parts.shifted)

@@ -260,7 +260,7 @@ def gain_limits(scene: GainScene) -> GainAnswer:
         limits = {own.name: stable.limit(own, *stable.found(own)) for own in gains}
         is_any = not all(isnan(next(iter(limit.values.values()))) for limit in limits.values())
         values |= limits if is_any else {"limits": "there are no stable gains"}
-    except ValueError as error:  # both gains act alike
+    except (ValueError, RuntimeError) as error:  # both gains act alike, or it is not resolved
         values["limits"] = str(error)
     for own in gains:
         at = scene.wanted[f"at_{own.name}"]

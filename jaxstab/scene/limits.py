@@ -84,7 +84,10 @@ class StableGains:
         """The limit of a gain, and the other gain there; RuntimeError where it is not resolved."""
         limits = self.loop.limits()
         if limits.status == RegionStatus.UNRESOLVED:
-            raise RuntimeError("the stable region was not resolved; change one value a little.")
+            raise RuntimeError(
+                "the stable region was not resolved; change one value a little, or ask for the "
+                "intervals of one gain at the other."
+            )
         limit = limits[self.loop.gains.index(own)]
         return limit.value, limit.at
 
