@@ -332,7 +332,7 @@ def _cosines_of(p0: Factored, q: Factored) -> "list[arb]":
         return [sums.get(w, arb(0)) for w in range(0, max(sums) + 1, 2)]
     total, rising = arb(0), []
     others = arb(0)  # terms of k of the other parity
-    for w in range(max(sums), 0, -2):
+    for w in range(max(sums, default=0), 0, -2):
         k = w // 2  # sin(k theta), sin or cos((k + 1/2) theta)
         here = sums.get(w, arb(0))
         # sin(k theta) = sin(theta) (2 cos((k - 1) theta) + 2 cos((k - 3) theta) + ...)
