@@ -41,7 +41,7 @@ from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import NO_FILTERS, Filters, behind_measured, exact_chain, given_filters
 from jaxstab.model.linear_loop import companion_matrix, filter_factors, filtered_loop
-from jaxstab.model.loop import array_fields, as_one
+from jaxstab.model.loop import MECHANICS, array_fields, as_one
 from jaxstab.numbers import require_together
 from jaxstab.point.polynomials import codes_in_float64
 from jaxstab.region import RegionStatus
@@ -266,9 +266,14 @@ def _answered(loops: Any, fields: dict[str, Any], *, outlines: bool) -> ManyRegi
     """The limits of many loops and, with ``outlines``, their outlines and areas."""
     many, fields, shape = _given(loops, fields)
     if is_any_traced(many, fields):
-        from jaxstab.loop.moving import moved_together
+        from jaxstab.loop.moving import moved_columns, moved_together
 
-        answer = moved_together(_varied(many, fields, shape), outlines=outlines)
+        are_columns = prod(shape) > 1 and fields.keys() <= {*MECHANICS}
+        if are_columns and isinstance(many, LoopParameters) and many.device is None:
+            columns = {name: _column(x, shape) for name, x in fields.items()}
+            answer = moved_columns(many, columns, outlines=outlines)
+        else:
+            answer = moved_together(_varied(many, fields, shape), outlines=outlines)
     elif isinstance(many, list) and many and all(isinstance(loop, Loop) for loop in many):
         stacks = [Stack(np.arange(len(many)), many)]
         answer = _searched(stacks, ManyGainLimits, outlines=outlines)
@@ -357,10 +362,15 @@ def _varied(given: Any, fields: dict[str, Any], shape: tuple[int, ...]) -> list[
     """Return loops one by one."""
     if isinstance(given, list):
         return given
-    arrays = (namespace(x).broadcast_to(x, shape).ravel() for x in fields.values())
+    arrays = (_column(x, shape) for x in fields.values())
     columns = (x.tolist() if isinstance(x, np.ndarray) else list(x) for x in arrays)
     rows = zip(*columns, strict=True) if fields else [()]
     return [replace(given, **dict(zip(fields, row, strict=True))) for row in rows]
+
+
+def _column(values: Any, shape: tuple[int, ...]) -> Array:
+    column: Array = namespace(values).broadcast_to(values, shape).ravel()
+    return column
 
 
 def _stacks(given: Any, fields: dict[str, Any], shape: tuple[int, ...]) -> list[Stack]:

@@ -14,6 +14,7 @@ searched there one by one, by a callback.
 """
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from functools import cache, lru_cache, partial
 from math import pi
 from typing import Any, NamedTuple
@@ -88,6 +89,19 @@ def moved_together(given: list[Any], *, outlines: bool) -> ManyRegions:
     order = np.argsort(np.concatenate(groups))
     moved: ManyRegions = jax.tree.map(lambda *columns: jnp.concatenate(columns)[order], *answers)
     return moved
+
+
+def moved_columns(given: Any, columns: dict[str, Array], *, outlines: bool) -> ManyRegions:
+    """Return the same of one loop of which some numbers are columns: no loop is a piece of code."""
+    form = common_form([given])
+
+    def moved(row: dict[str, Array]) -> ManyRegions:
+        loop = replace(given, **row)
+        own = loop.tree_unflatten((None, loop.device), loop.tree_flatten()[0])
+        return moving_regions(own, form=form, outlines=outlines)
+
+    answers: ManyRegions = jax.vmap(moved)({k: jnp.asarray(x) for k, x in columns.items()})
+    return answers
 
 
 def moving_regions(loop: LoopParameters, form: Form | None, *, outlines: bool) -> ManyRegions:

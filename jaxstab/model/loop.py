@@ -36,8 +36,8 @@ from jaxstab.numbers import (
 )
 from jaxstab.shown import call_text
 
-_MECHANICS = "device_mass", "device_damping", "hand_mass", "hand_damping", "hand_stiffness"
-_NUMBERS = *_MECHANICS, "sample_time", "delay"
+MECHANICS = "device_mass", "device_damping", "hand_mass", "hand_damping", "hand_stiffness"
+_NUMBERS = *MECHANICS, "sample_time", "delay"
 
 Values = TypeVar("Values", bound=Numbers)
 
@@ -70,7 +70,7 @@ class LoopParameters:
             if _is_array(value):
                 checker = checked
                 require_x64(value)
-            is_left_out = value is None and name in _MECHANICS[:2]  # beside a device
+            is_left_out = value is None and name in MECHANICS[:2]  # beside a device
             if not (is_left_out or is_traced(value)):
                 is_open = name in ("device_mass", "sample_time")
                 number = checker(name, value, 0.0, is_open=is_open)
@@ -119,14 +119,14 @@ class LoopParameters:
 
     def _refuse_mixed_fields(self) -> None:
         if self.device is None:
-            missing = [name for name in _MECHANICS[:2] if getattr(self, name) is None]
+            missing = [name for name in MECHANICS[:2] if getattr(self, name) is None]
             if missing:
                 raise TypeError(f"{missing[0]} is missing; give it, or device=jaxstab.Device....")
             return
         require_kind("device", self.device, Device)
-        for name in _MECHANICS:
+        for name in MECHANICS:
             value = getattr(self, name)
-            is_given = name in _MECHANICS[:2] and value is not None
+            is_given = name in MECHANICS[:2] and value is not None
             if is_given or is_any_traced(value) or np.any(value):
                 raise TypeError(
                     f"{name} is given beside device; a device has its own mass and damping, and is "
@@ -136,8 +136,10 @@ class LoopParameters:
     def _refuse_odd_units(self) -> None:
         """Refuse one mass whose gains lose digits in float64 when they are made dimensionless."""
         least = 2.0**-900  # that of ``gain_units``
+        if is_any_traced(self.device_mass, self.hand_mass, self.sample_time):
+            return  # before anything is computed, which each of many loops would leave in a program
         body = self.body
-        if body is None or is_any_traced(body.mass, self.sample_time):
+        if body is None or is_any_traced(body.mass):
             return
         (shortest, longest), (lightest, heaviest) = (
             (x, x) if isinstance(x, float) else (float(np.min(x)), float(np.max(x)))
