@@ -133,6 +133,7 @@ print(json.dumps(traced))
 """
 
 
+@pytest.mark.campaign
 def test_a_first_answer_inside_a_program_does_not_have_it_compiled_again() -> None:
     """As importing optimistix there does, which defines options of JAX."""
     assert set(printed_by(TRACED_TWICE, JAX_ENABLE_X64="1").values()) == {1}
