@@ -73,7 +73,7 @@ def moved_together(given: list[Any], *, outlines: bool) -> ManyRegions:
 
     Loops of one structure are stacked: their filters are of the same kinds, orders and windows.
     """
-    loops = [loop.tree_unflatten((None, loop.device), loop.tree_flatten()[0]) for loop in given]
+    loops = list(map(_of_leaves, given))
     groups = alike(map(jax.tree.structure, loops))
     answers = []
     for members in groups:
@@ -91,14 +91,17 @@ def moved_together(given: list[Any], *, outlines: bool) -> ManyRegions:
     return moved
 
 
+def _of_leaves(loop: Any) -> Any:
+    """Return a loop all of whose numbers are leaves, as those of its kind have them."""
+    return loop.tree_unflatten((None, loop.device), loop.tree_flatten()[0])
+
+
 def moved_columns(given: Any, columns: dict[str, Array], *, outlines: bool) -> ManyRegions:
     """Return the same of one loop of which some numbers are columns: no loop is a piece of code."""
     form = common_form([given])
 
     def moved(row: dict[str, Array]) -> ManyRegions:
-        loop = replace(given, **row)
-        own = loop.tree_unflatten((None, loop.device), loop.tree_flatten()[0])
-        return moving_regions(own, form=form, outlines=outlines)
+        return moving_regions(_of_leaves(replace(given, **row)), form=form, outlines=outlines)
 
     answers: ManyRegions = jax.vmap(moved)({k: jnp.asarray(x) for k, x in columns.items()})
     return answers
