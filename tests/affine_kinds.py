@@ -123,7 +123,7 @@ def _pid(rng: Rng, given: str) -> Case:
     )
     size, lags = body[0] / period, delay + window
     value = float(rng.choice([0.01, 0.1, 0.3])) * size / lags
-    value *= 1.0 if given == "kd" else 0.1 / (period * lags) ** 2
+    value *= {"kd": 1.0, "kp": 0.1 / (period * lags), "ki": 0.1 / (period * lags) ** 2}[given]
     rule = str(rng.choice(["backward", "forward", "trapezoid"]))
     options = {given: value}
 
@@ -212,6 +212,7 @@ KINDS = {
     "kp-kd": partial(_pid, given="ki"),
     "coupling": to_a_tool,
     "two devices": two_devices,
+    "ki-kd": partial(_pid, given="kp"),
 }
 
 

@@ -10,11 +10,11 @@ import pytest
 import recursions
 from affine_kinds import KINDS, Case, coupled, is_stable_exactly, judged, judged_regions
 from campaign import first, many, some
-from scipy.signal import lfilter
+from scipy.signal import cont2discrete, lfilter
 
 import jaxstab
 from jaxstab import Verdict
-from jaxstab.results import TuningStatus
+from jaxstab.results import RegionStatus, TuningStatus
 
 OF_GAINS = [kind for kind in KINDS if kind != "wall"]
 REST = [kind for kind in OF_GAINS if kind != "kp-ki"]
@@ -424,6 +424,59 @@ def test_54_undamped_devices_that_differ_by_rounding_have_a_region_of_that_size(
             matrix = coupled(bodies, delays, period, window, *gains, exact=True)
             assert is_stable_exactly(matrix) is is_stable
         assert bool(region.contains(stiffness=gains[0], damping=gains[1])) is is_stable
+
+
+def test_54_ki_and_kd_of_a_free_mass_are_a_triangle_with_the_forward_rule() -> None:
+    """p = z (z - 1)^3 + c (z + 1)(kp z (z - 1) + ki T z + kd (z - 1)^2/T), c = T^2/(2 m).
+
+    On the circle ki and kd act in phase: a pair stays there at two angles only, sin^2 of whose
+    halves are the roots of 8 x^2 - (4 + 2 c kp) x + 2 c kp.
+    """
+    mass, period, kp = 0.25, 1e-3, 20_000.0
+    device = jaxstab.HapticLoop(device_mass=mass, device_damping=0.0, sample_time=period)
+    region = jaxstab.pid(device, kp=kp, rule="forward").region()
+    c = period**2 / (2.0 * mass)
+    x = np.roots([8.0, -4.0 - 2.0 * c * kp, 2.0 * c * kp])
+    on_axis = np.sort(period * (4.0 * x - c * kp) / (2.0 * c))
+    apex = 2.0 * kp / period, 2.0 * mass / period
+    corners = region.corners[np.lexsort(region.corners.T[::-1])]
+    assert corners == pytest.approx(np.array([(0.0, on_axis[0]), (0.0, on_axis[1]), apex]))
+    assert region.area == pytest.approx(0.5 * apex[0] * np.ptp(on_axis))
+    assert len(region.outline) == 4
+    most = (6.0 - 4.0 * np.sqrt(2.0)) / c  # the two angles meet
+    few, none = (jaxstab.pid(device, kp=kp, rule="forward").region() for kp in (most - 1, most + 1))
+    assert (few.status, none.status) == (RegionStatus.COMPLETE, RegionStatus.EMPTY)
+
+
+def test_54_polygons_may_have_islands() -> None:
+    """A mass with a mode, sampled by SciPy, a sample late: eigenvalues tell the stable gains."""
+    mass, damping, period, kp = 0.2, 0.5, 1e-3, 200.0
+    own, rate = 0.003, 2.0 * np.pi * 60.0
+    mode = jaxstab.Mode(frequency=60.0, damping_ratio=0.06, modal_mass=own)
+    device = jaxstab.Device.modes(mass=mass, damping=damping, modes=mode)
+    held = jaxstab.HapticLoop(device=device, sample_time=period, delay=period)
+    region = jaxstab.pid(held, kp=kp, rule="forward").region()
+    one, other = [mass, damping, 0.0], [own, 2.0 * 0.06 * rate * own, rate**2 * own]
+    (above,), below, _ = cont2discrete(
+        (np.polyadd(one, other), np.polymul(one, other)), period, "zoh"
+    )
+    free = np.polymul(below, [1.0, -1.0, 0.0, 0.0])  # the integrator, the delay, the difference
+
+    def radius(ki: float, kd: float) -> float:
+        gains = [kp + kd / period, ki * period - kp - 2.0 * kd / period, kd / period]
+        return float(np.abs(np.roots(np.polyadd(free, np.polymul(above, gains)))).max())
+
+    assert len(region.components) == 2
+    rng, seen = np.random.default_rng(54), set()
+    for component in region.components:
+        low, high = component.outline.min(axis=0), component.outline.max(axis=0)
+        for ki, kd in rng.uniform(
+            1.1 * low - 0.1 * high, 1.1 * high - 0.1 * low, (100, 2)
+        ).tolist():
+            is_stable = bool(region.contains(ki=ki, kd=kd))
+            assert is_stable is (radius(ki, kd) < 1.0)
+            seen.add(is_stable)
+    assert seen == {True, False}
 
 
 def test_54_walls_and_other_loops_are_asked_apart() -> None:

@@ -256,12 +256,13 @@ def test_masses_that_are_all_stable_have_a_least_one_of_zero() -> None:
 
 
 def test_a_region_that_is_not_resolved_leaves_the_intervals_of_each_gain() -> None:
-    """The forward rule at one kp: the boundary of ki and kd is straight lines alone.
+    """Without kp: where ki = 0 two roots stay at 1, and only some of the walls beside are stable.
 
-    p = z^2 (z - 1) D + N (kp z (z - 1) + ki T z + kd (z - 1)^2/T), of a free mass a sample late.
+    p = z^(n + 1) (z - 1) D + N (ki T z^n + kd (z^n - 1) (z - 1)/(n T)), of a free mass a
+    sample late, the velocity by a window of n.
     """
-    kp, kd, period = 5000.0, 20.0, 1e-3
-    tables = pid({"kp": kp, "rule": "forward"}, at_kd=kd)
+    kd, period, n = 47.0, 1e-3, 20
+    tables = pid({"kp": 0.0, "rule": "forward"}, of=WINDOW, at_kd=kd)
     answer = answered(tables)
     assert "was not resolved" in answer.values["limits"]
     low, high = answer.as_json()["at_given_kd"]["ki_limits"]
@@ -271,8 +272,9 @@ def test_a_region_that_is_not_resolved_leaves_the_intervals_of_each_gain() -> No
     above = np.array([rate - 1.0 + slow, 1.0 - slow - rate * slow]) * period**2 / rate**2 / 0.25
 
     def radius(ki: float) -> float:
-        gains = [kp + kd / period, ki * period - kp - 2.0 * kd / period, kd / period]
-        p = np.polyadd(np.polymul(below, [1.0, -1.0, 0.0, 0.0]), np.polymul(above, gains))
+        window = np.append(np.append(1.0, np.zeros(n - 1)), -1.0) * kd / (n * period)
+        gains = np.polymul(window, [1.0, -1.0]) + np.append([0.0, ki * period], np.zeros(n))
+        p = np.polyadd(np.polymul(below, [1.0, -1.0] + [0.0] * (n + 1)), np.polymul(above, gains))
         return float(np.abs(np.roots(p)).max())
 
     assert low == 0.0

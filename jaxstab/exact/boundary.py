@@ -8,7 +8,8 @@ The walls that keep a root at z = 1 or z = -1 are a line. So are those that keep
 which the plant is real as well (windows, undamped hands, delays of whole or half samples). Divided
 by that root, p0 + t q is a line like any other (``line``): its stable intervals are the straight
 pieces of the boundary, all of them, proved, each with the angle of the root that ends it (lemma G2
-of docs/proofs.md).
+of docs/proofs.md). Where V is real on the whole circle there is no curve, only such lines, at the
+angles where the plant is real: as of ki and kd with an integrator by the forward rule.
 """
 
 from collections.abc import Callable
@@ -21,8 +22,14 @@ import numpy as np
 from flint import acb, acb_poly, arb, arb_poly, ctx
 from jaxtyping import Bool, Complex128, Float64
 
-from jaxstab.exact.line import StableLine, real_quotient_angles, stable_pencil
-from jaxstab.exact.roots import roots_outside
+from jaxstab.conventions import Verdict
+from jaxstab.exact.line import (
+    StableLine,
+    is_real_quotient,
+    real_quotient_angles,
+    stable_pencil,
+)
+from jaxstab.exact.roots import roots_outside, wall_verdict
 from jaxstab.model import LoopParameters
 from jaxstab.model.affine import AffineParts, affine_triple
 from jaxstab.model.balls import BallLoop, Factored, Triple, ball_loop
@@ -77,7 +84,8 @@ class CurveParts(NamedTuple):
         shifted: the same in powers of zeta - 1, for z = zeta and for z = -zeta.
         ends: the parts of p(1) and of (-1)^n p(-1).
         zeros, roots: of the plant's numerator and of its denominator.
-        poles: the angles where V is real.
+        poles: the angles where V is real; those of the lines where it is real everywhere.
+        is_straight: True if V is real everywhere.
     """
 
     triple: Float64[np.ndarray, "3 power"]
@@ -87,6 +95,7 @@ class CurveParts(NamedTuple):
     zeros: Complex128[np.ndarray, " root"]
     roots: Complex128[np.ndarray, " root"]
     poles: Float64[np.ndarray, " pole"]
+    is_straight: bool
 
 
 def curve_parts(loop: ScaledLoop) -> CurveParts:
@@ -108,7 +117,10 @@ def curve_parts(loop: ScaledLoop) -> CurveParts:
         roots = _roots(own.numerator), _roots(own.denominator)
         poles = np.array([float(angle.mid()) for angle in _poles(loop)])
     falling = np.array(triple)[:, ::-1]
-    return CurveParts(falling, np.array(whole), np.array(shifted), np.array(ends), *roots, poles)
+    return CurveParts(
+        falling, np.array(whole), np.array(shifted), np.array(ends), *roots, poles,
+        _is_straight(loop),
+    )  # fmt: skip
 
 
 def _enough_bits(loop: ScaledLoop) -> AbstractContextManager[None]:
@@ -264,8 +276,25 @@ def root_lines(loop: ScaledLoop) -> list[RootLine]:
             line = stable_pencil(partial(_divided, loop, kept))
             start, along = (np.array([float(arb.mid()) for arb in pair]) for pair in ends)
             turn = decided(partial(_turn, loop, kept)) if 0.0 < angle < np.pi else nan
-            lines.append(RootLine(angle, start + 0.0, along, line, nan if turn is None else turn))
+            own = RootLine(angle, start + 0.0, along, line, nan if turn is None else turn)
+            if not line.drift or _bounds_walls(loop, own):
+                lines.append(own)
     return lines
+
+
+def _bounds_walls(loop: ScaledLoop, line: RootLine) -> bool:
+    """True if walls beside a line are stable.
+
+    Where it keeps a second root at 1 or -1, as without kp and ki, those of both sides may leave.
+    """
+    aside = 1e-6  # of an interval
+    for low, high in line.line.intervals:
+        step = aside * (high.value - low.value) * line.along[::-1] * (1.0, -1.0)
+        middle = line.wall(0.5 * (low.value + high.value))
+        for wall in (middle - step, middle + step):
+            if wall_verdict(loop.triple, *wall.tolist()).verdict == Verdict.STABLE:
+                return True
+    return False
 
 
 def _turn(loop: ScaledLoop, at_root: Callable[[], _Kept]) -> float | None:
@@ -329,12 +358,26 @@ def _without(part: Factored, divisor: Factored) -> Factored:
 
 @lru_cache
 def _poles(loop: ScaledLoop) -> "list[arb]":
-    """The angles where V is real; none where the balls do not tell them."""
+    """The angles where V is real, or the plant if V always is; none if balls do not tell them."""
     with working_precision(FIRST_BITS):
         if real_quotient_angles(*loop.balls().walls) == []:
             return []
+    is_straight = _is_straight(loop)
     with working_precision(_LAST_BITS):
-        return real_quotient_angles(*loop.balls().walls) or []
+        base, acting, _ = loop.triple()
+        pair = (base, acting) if is_straight else loop.balls().walls
+        return real_quotient_angles(*pair) or []
+
+
+@lru_cache
+def _is_straight(loop: ScaledLoop) -> bool:
+    """True if V is real on the whole circle: it is so to the first bits and to the last."""
+
+    def is_real(bits: int) -> bool:
+        with working_precision(bits):
+            return is_real_quotient(*loop.balls().walls)
+
+    return all(map(is_real, (FIRST_BITS, _LAST_BITS)))
 
 
 def _is_real(loop: ScaledLoop, pole: "arb") -> bool:

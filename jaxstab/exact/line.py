@@ -264,6 +264,11 @@ def real_quotient_angles(p0: Factored, q: Factored) -> "list[arb] | None":
     return sorted(others + known, key=lambda t: float(t.mid()))
 
 
+def is_real_quotient(p0: Factored, q: Factored) -> bool:
+    """True if q/p0 is real on the whole circle, as far as the balls tell."""
+    return all(c.contains(0) for c in _cosines_of(p0, q))
+
+
 # --------------------------------------------------------------------------------------- crossings
 def _crossings(line: _Line, *, is_last_try: bool) -> tuple[list[Crossing], float] | None:
     """All crossings, in any order, and how far out the line was looked at; None for more bits."""

@@ -737,8 +737,8 @@ def pid(
         ki: in N/(m s), if it is.
         kd: in N s/m, if it is.
         rule: of the integrator: "backward" adds the new sample, "forward" the last one,
-            "trapezoid" the mean of both. With "forward" the boundary of ki and kd at one kp is
-            straight lines alone: regions are not resolved, but intervals and verdicts are known.
+            "trapezoid" the mean of both. With "forward" and the difference over one sample the
+            stable ki and kd at one kp are polygons.
         kd_delay: delay of the derivative's force in s; None for that of the loop.
 
     Raises: TypeError unless one gain is given; see also ``jaxstab.conventions``.

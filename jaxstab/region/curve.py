@@ -117,7 +117,8 @@ class Curve(NamedTuple):
         close: where |s| is less, powers of s have the smaller terms.
         ends: the parts of p(1) and of (-1)^n p(-1), positive for stable walls.
         lines: the straight parts of the boundary.
-        poles: the angles where V is real.
+        poles: the angles where V is real, or the plant if V always is.
+        is_straight: True if V is real everywhere: there is no curve, and the boundary is lines.
         resonances: the angles of the plant's roots, and how far these are from the circle.
         stretches: the intervals of angles that are drawn out.
         loop: what the balls are of.
@@ -130,6 +131,7 @@ class Curve(NamedTuple):
     ends: Float64[np.ndarray, "half part"]
     lines: list[RootLine]
     poles: Angles
+    is_straight: bool
     resonances: Float64[np.ndarray, "2 root"]
     stretches: list[Stretch]
     loop: ScaledLoop
@@ -200,8 +202,9 @@ def curve_of(loop: ScaledLoop) -> Curve:
         ends=parts.ends,
         lines=root_lines(loop),
         poles=parts.poles,
+        is_straight=parts.is_straight,
         resonances=np.stack([np.abs(np.angle(roots)), np.clip(distance, nearest, farthest)]),
-        stretches=_undamped(loop, parts),
+        stretches=[] if parts.is_straight else _undamped(loop, parts),
         loop=loop,
     )
 

@@ -123,7 +123,9 @@ def polygon(c: Curve, pieces: Pieces, seen: Survey, points: int) -> Outline:
         vertices.append(pieces.begin_wall[[first]])
         loops += 1
     points_of = np.concatenate(vertices)
-    errors = curve_errors(c, np.concatenate([pieces.begin, theta[::4], pieces.end]))
+    is_arc = pieces.begin < pieces.end
+    ends = pieces.begin[is_arc], pieces.end[is_arc]
+    errors = curve_errors(c, np.concatenate([ends[0], theta[::4], ends[1]]))
     return Outline(
         vertices=points_of,
         branches=np.concatenate(branches),

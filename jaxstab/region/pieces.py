@@ -10,6 +10,10 @@ of a straight part of the boundary has the arc's angle, and balls know both (``C
 Otherwise another arc begins there, and Newton's method finds the corner of the two. Where all ends
 are joined the boundary consists of closed loops; what stays open has been missed by the angles. At
 such an end the angle of the second pair on the circle tells where the arc that was missed begins.
+
+Straight parts may close without an arc. Where two lines cross, the walls of one of the four angles
+between them are stable at most, for each line moves a root or a pair: so such a loop is convex, and
+bounds a component from outside.
 """
 
 from collections.abc import Iterable, Iterator
@@ -75,7 +79,7 @@ class Pieces(NamedTuple):
     """Arcs, from the angles ``begin`` to ``end``, and what follows each.
 
     Attributes:
-        begin, end: angles.
+        begin, end: angles, which are equal where a piece is straight.
         begin_wall, end_wall: the walls there.
         edges: the straight parts that follow.
         successor: the arc that begins at the end of these.
@@ -101,6 +105,8 @@ def scan_angles(c: Curve, centers: Centers, *, with_balls: bool = False) -> Angl
     """
     per_turn, fewest, per_branch = 8, 500, 20  # even angles: of a turn of z^n, and of a branch
     to_ends = 12  # angles that come closer and closer
+    if c.is_straight:
+        return np.empty(0)
     to_poles, to_proved = 1e-11, 1e-14 if with_balls else 1e-9  # how close
     count = max(per_turn * c.degree, fewest, per_branch * (len(c.poles) + 1))
     step = np.pi / count
@@ -401,11 +407,13 @@ def find_pieces(c: Curve, angles: Angles, inside: Passes) -> Pieces:
     end_at = {number: end for end, number in of_end.items()}
     edges: list[list[Edge]] = []
     successor: list[int] = []
+    left = set(of_stop)
     for arc in range(count):
         own: list[Edge] = []
         goal, stop = following.get(count + arc), of_end.get(count + arc)
         while stop is not None and len(own) <= len(stops):
             there = stop ^ 1
+            left -= {stop, there}
             own.append(Edge(c.lines[stops[there].line].angle, stops[there].wall))
             goal = end_at.get(there)
             stop = of_stop.get(there) if goal is None else None
@@ -415,6 +423,16 @@ def find_pieces(c: Curve, angles: Angles, inside: Passes) -> Pieces:
         opened += [walls[count + k] for k in range(count) if not 0 <= successor[k] < count]
         opened = opened or list(walls)
     (begin, close), (begin_wall, end_wall) = theta.reshape(2, -1), walls.reshape(2, -1, 2)
+    straight: list[tuple[float, Array, Array]] = []
+    for loop in _straight_loops(stops, of_stop, left):
+        first, *own = [Edge(c.lines[stops[stop].line].angle, stops[stop ^ 1].wall) for stop in loop]
+        straight.append((first.angle, stops[loop[0]].wall, first.wall))
+        successor.append(len(edges))
+        edges.append(own)
+    if straight:
+        places, starts, goals = map(np.array, zip(*straight, strict=True))
+        begin, close = np.append(begin, places), np.append(close, places)
+        begin_wall, end_wall = np.append(begin_wall, starts, 0), np.append(end_wall, goals, 0)
     return Pieces(
         begin=begin,
         end=close,
@@ -425,6 +443,22 @@ def find_pieces(c: Curve, angles: Angles, inside: Passes) -> Pieces:
         open=np.array(opened).reshape(-1, 2),
         lone=np.abs(ends.theta[is_left]),
     )
+
+
+def _straight_loops(
+    stops: list[_Stop], of_stop: dict[int, int], left: set[int]
+) -> Iterator[list[int]]:
+    """Yield the closed loops of parts that are left: the stops where these begin, anticlockwise."""
+    while left:
+        loop, stop = list[int](), max(left)  # not of the lines of z = 1 and -1, which come first
+        while stop in left:
+            left -= {stop, stop ^ 1}
+            loop.append(stop)
+            stop = of_stop.get(stop ^ 1, -1)
+        if stop == loop[0]:
+            alpha, beta = np.transpose([stops[stop].wall for stop in loop])
+            swept = np.sum(alpha * np.roll(beta, -1) - np.roll(alpha, -1) * beta)
+            yield loop if swept > 0.0 else [stop ^ 1 for stop in reversed(loop)]
 
 
 def _angles_at(

@@ -169,13 +169,13 @@ def _angles_beside(lines: _Lines, walls: Points) -> Centers:
 def _angles_of_rays(lines: _Lines) -> Centers | None:
     """Return the angles of roots at the ends of stable intervals of walls from 0; None: not known.
 
-    There are none where no wall of these rays is stable.
+    There are none where no wall of these rays is stable, nor beside one with a single root at 1.
     """
     slopes = (1.0, 0.1), (1.0, 1.0), (1.0, 10.0), (1.0, -1.0), (0.0, 1.0)
     rays = [lines.along((0.0, 0.0), along) for along in slopes]
     if any(ray.status != LineStatus.PROVED for ray in rays):
         return None
-    return np.concatenate([_angles_on(ray) for ray in rays])
+    return np.concatenate([_angles_on(ray) for ray in rays if ray.drift < 2])
 
 
 def _compared(c: Curve, outline: Outline) -> list[tuple[int, float, bool, float]]:
