@@ -582,6 +582,7 @@ REFUSALS = [
     (lambda: robot(1e3, 1e-3, 4, rule="exact"), "rule is"),
     (lambda: jaxstab.pid(held()), "give one of kp, ki and kd"),
     (lambda: jaxstab.pid(held(), kp=1.0, ki=2.0), "kp, ki; give one"),
+    (lambda: jaxstab.pid(held(), ki=0.0, kd_delay=-1.0), "kd_delay is -1.0; allowed are"),
     (lambda: couple(OTHER, 1.0), "one delay for each"),
     (lambda: joint().verdict(kp=1.0), "give both kp and kd"),
     (lambda: joint().verdict(K=1.0, B=2.0), "give both kp and kd"),

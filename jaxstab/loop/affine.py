@@ -771,7 +771,9 @@ def pid(
     units = {"kp": "N/m", "ki": "N/(m s)", "kd": "N s/m"}
     others = [Gain(other, unit) for other, unit in units.items() if other != name]
     plain = loop.in_floats()
-    late = plain if kd_delay is None else replace(plain, delay=kd_delay)
+    late = plain
+    if kd_delay is not None:
+        late = replace(plain, delay=checked_number("kd_delay", kd_delay, 0.0, unit="s"))
     parts = PidParts(plain, late, name, number, rule)
     words = f"PID with {name} = {number:g} {units[name]}"
     return Loop(parts, (others[0], others[1]), float(parts.loop.sample_time), words)
