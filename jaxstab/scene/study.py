@@ -25,18 +25,18 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from hashlib import sha256
 from itertools import islice, product
 from math import inf, isfinite, log, prod
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import NDArray
-from scipy.special import ndtri
+from scipy.stats import binomtest
 
 import jaxstab
 from jaxstab.batches import alike
@@ -196,8 +196,14 @@ def shares(study: "Dataset", *, confidence: float = 0.95) -> "Dataset":
     count = verdict.sizes[SAMPLE]
     stable = (verdict == Verdict.STABLE).sum(SAMPLE).compute()
     undecided = (verdict == Verdict.UNDECIDED).sum(SAMPLE).compute()
-    low, high = _score_interval(stable, stable + undecided, count, ndtri(0.5 + 0.5 * confidence))
-    return xarray_module().Dataset(
+
+    def ends(stable: Any) -> tuple[float, float]:
+        return (*binomtest(int(stable), count).proportion_ci(confidence, "wilson"),)
+
+    xarray = xarray_module()
+    of_each = partial(xarray.apply_ufunc, ends, vectorize=True, output_core_dims=[[], []])
+    (low, _), (_, high) = of_each(stable), of_each(stable + undecided)
+    return xarray.Dataset(
         {"share": stable / count, "low": low, "high": high, "undecided": undecided},
         attrs={"draws": count, "confidence": confidence},
     )
@@ -267,19 +273,6 @@ def limit_in(study: "Dataset") -> str | None:
     return next((name for name in names if name.startswith(("largest_", "least_"))), None)
 
 
-def _score_interval(
-    least: "DataArray", most: "DataArray", total: int, z: float
-) -> tuple["DataArray", "DataArray"]:
-    """Return Wilson's interval of a share; 0 and 1 exactly where nothing and all was counted."""
-
-    def end(count: "DataArray", side: float) -> "DataArray":
-        share = count / total
-        half = np.sqrt(share * (1.0 - share) / total + 0.25 * (z / total) ** 2)
-        return (share + 0.5 * z * z / total + side * z * half) / (1.0 + z * z / total)
-
-    return end(least, -1.0).where(least > 0, 0.0), end(most, 1.0).where(most < total, 1.0)
-
-
 def _require_table(study: Any) -> None:
     if not isinstance(study, xarray_module().Dataset):
         raise TypeError(
@@ -333,7 +326,7 @@ def plan_study(
     notes += [f"{key}: drawn from the range of the scene, {own}." for key, own in ranges.items()]
     columns, about, begin = _part_of(columns, part, [source.table, wanted, gains])
     different, draws = _different(columns, given)
-    block = _Block(source, tuple(c.key for c in columns), np.array([*gains.values()]).T, wanted)
+    block = _Block(source, (*columns,), np.array([*gains.values()]).T, wanted)
     size = max(1, min(_BLOCK // max(1, len(gains)), int(4.0 / seconds)))  # of at most 4 s
     table = _table(block, different, gains, size)
     loops = prod(length for name, length in table.sizes.items() if name != WALL)
@@ -351,8 +344,8 @@ def plan_study(
         table = table.assign_coords(
             {SAMPLE: (SAMPLE, numbers, {"long_name": "number of the draw"})}
         )
-    if source.of_gains:
-        table = table.rename({WALL: GAINS}) if WALL in table.dims else table
+    if source.of_gains and WALL in table.dims:
+        table = table.rename({WALL: GAINS})
     axes = " x ".join(f"{length} {name}" for name, length in table.sizes.items())
     start = min(0.02 * loops, 10.0) * ("limits" in wanted)  # a few one by one, or to compile
     cost = f"{axes}: {loops:,} loops, about {_time(loops * seconds + start)} of CPU time"
@@ -550,33 +543,25 @@ def draws_of(
 # What varies, checked.
 
 
-class _Column(NamedTuple):
-    """A key that varies, its values, and their dimension."""
-
-    key: str
-    values: NDArray[Any]
-    dimension: str
-
-    @property
-    def name(self) -> str:
-        return self.key.replace(".", "_")
+Columns = dict[str, "DataArray"]  # by the keys that vary, each along its own name or the draws
 
 
 def _columns(
     source: "_Source", given: Mapping[str, Any], samples: int, seed: int
-) -> tuple[list[_Column], list[str]]:
+) -> tuple[Columns, list[str]]:
     """The columns that vary, those of lists first, and notes on the draws."""
-    columns, notes = list[_Column](), list[str]()
+    made, columns, notes = xarray_module().DataArray, Columns(), list[str]()
     for key, own in sorted(given.items(), key=lambda pair: is_distribution(pair[1])):
-        if not is_distribution(own):
-            columns.append(_Column(key, np.asarray(own), key.replace(".", "_")))
-            continue
-        least = 0.0 if key in source.numbers else -inf
-        draws, below = draws_of(key, own, samples, seed, least)
-        columns.append(_Column(key, draws, SAMPLE))
+        name, below = key.replace(".", "_"), 0.0
+        if is_distribution(own):
+            least = 0.0 if key in source.numbers else -inf
+            draws, below = draws_of(key, own, samples, seed, least)
+            columns[key] = made(draws, dims=SAMPLE, name=name)
+        else:
+            columns[key] = made(np.asarray(own), dims=name, name=name)
         if below > 0.0:
             notes.append(f"{key}: {100.0 * below:.2g} % of the distribution, below 0, is left out.")
-    names = [column.name for column in columns]
+    names = [str(column.name) for column in columns.values()]
     doubled = next((n for n in names if names.count(n) > 1 or n in (SAMPLE, WALL)), None)
     if doubled is not None:
         raise ValueError(f"{doubled} is twice in over; give each key once.")
@@ -584,11 +569,11 @@ def _columns(
 
 
 def _part_of(
-    columns: list[_Column], part: tuple[int, int], asked: Any
-) -> tuple[list[_Column], dict[str, str], int]:
+    columns: Columns, part: tuple[int, int], asked: Any
+) -> tuple[Columns, dict[str, str], int]:
     """Return the columns of a part, the attribute that says of what it is, and its first draw."""
     index, count = part
-    lengths = {column.dimension: len(column.values) for column in columns}
+    lengths = {column.dims[0]: column.size for column in columns.values()}
     along = max(lengths, key=lambda name: lengths[name])
     if not 1 <= index <= count:
         raise ValueError(f"part is {index}/{count}; give 1/{count} to {count}/{count}.")
@@ -599,25 +584,26 @@ def _part_of(
         )
     if count == 1:
         return columns, {}, 0
-    digest = sha256(repr([asked, [column.key for column in columns]]).encode())
-    for column in columns:
+    digest = sha256(repr([asked, [*columns]]).encode())
+    for column in columns.values():
         digest.update(column.values.tobytes())
     piece = slice(*(lengths[along] * k // count for k in (index - 1, index)))
-    cut = [c._replace(values=c.values[piece]) if c.dimension == along else c for c in columns]
+    cut = {k: own.isel({along: piece}, missing_dims="ignore") for k, own in columns.items()}
     about = f"{index} of {count} along {along} of study {digest.hexdigest()[:16]}"
     return cut, {"part": about}, piece.start if along == SAMPLE else 0
 
 
 def _different(
-    columns: list[_Column], given: Mapping[str, Any]
-) -> tuple[list[_Column], dict[str, NDArray[np.int64]]]:
+    columns: Columns, given: Mapping[str, Any]
+) -> tuple[Columns, dict[str, NDArray[np.int64]]]:
     """Return columns in which equal rows of CSV files are once, and the place of each draw."""
-    drawn = [column for column in columns if column.dimension == SAMPLE]
-    if not drawn or not all(isinstance(given[column.key], Column) for column in drawn):
+    drawn = [key for key, column in columns.items() if SAMPLE in column.dims]
+    if not drawn or not all(isinstance(given[key], Column) for key in drawn):
         return columns, {}
-    rows, again = np.unique([column.values for column in drawn], axis=1, return_inverse=True)
-    once = dict(zip((column.key for column in drawn), rows, strict=True))
-    return [c._replace(values=once.get(c.key, c.values)) for c in columns], {SAMPLE: again.ravel()}
+    rows = [columns[key].values for key in drawn]
+    _, first, again = np.unique(rows, axis=1, return_index=True, return_inverse=True)
+    once = {key: columns[key].isel({SAMPLE: first}) for key in drawn}
+    return columns | once, {SAMPLE: again.ravel()}
 
 
 def _checked_walls(walls: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
@@ -766,19 +752,21 @@ class _Source:
             table = with_value(table, key, int(value) if is_whole else value, key.split("."))
         return any_scene(table)
 
-    def check(self, columns: "Sequence[_Column]") -> list[str]:
+    def check(self, columns: Columns) -> list[str]:
         """Refuse bad values at the corners of what varies; return warnings of unusual values.
 
         Both are the sentences that a scene gives.
         """
-        keys = [column.key for column in columns]
-        ends = [_ends(c.values, 2 if c.key in self.numbers else 64) for c in columns]
+        ends = {key: np.unique(own.values) for key, own in columns.items()}
+        for key, values in ends.items():  # all values of a few, the first and the last of others
+            few = 2 if key in self.numbers else 64
+            ends[key] = (values if len(values) <= few else values[[0, -1]]).tolist()
         most_corners = 4096  # loops that are made before anything is computed
-        for corner in islice(product(*ends), most_corners):
-            self.made(dict(zip(keys, corner, strict=True)))
+        for corner in islice(product(*ends.values()), most_corners):
+            self.made(dict(zip(ends, corner, strict=True)))
         if self.is_loop:
             return []
-        outer = [self._scene(dict(zip(keys, [v[k] for v in ends], strict=True))) for k in (0, -1)]
+        outer = [self._scene({key: own[k] for key, own in ends.items()}) for k in (0, -1)]
         walls = (scene for scene in outer if isinstance(scene, Scene))
         notes = [f"{note}." for scene in walls for note in delay_notes(scene)]
         wanted = self.table.get("wanted", {})
@@ -799,12 +787,6 @@ def _with(loop: Any, given: Mapping[str, Any]) -> Any:
     return replace(loop, **own) if own else loop
 
 
-def _ends(values: NDArray[Any], most: int) -> list[Any]:
-    """Return the different values as Python's own, the first and the last of more than ``most``."""
-    different = np.unique(values)
-    return (different if len(different) <= most else different[[0, -1]]).tolist()
-
-
 # What it costs.
 
 
@@ -813,7 +795,7 @@ def _seconds_of_a_loop(
 ) -> float:
     """The CPU time of a loop in s, from that of the kind of the first one."""
     columns, _ = _columns(source, given, 1, 0)
-    loop = source.made({column.key: column.values[0].item() for column in columns})
+    loop = source.made({key: column[0].item() for key, column in columns.items()})
     is_other = isinstance(loop, Loop) or loop.device is not None
     costs = {  # CPU s of a loop and a wall (of a loop for limits): of one mass, another device
         "verdict": (1.2e-5, 4e-3),
@@ -868,8 +850,10 @@ class _Block:
         }
 
         def tell(answer: str, members: list[int], of: Any) -> None:
-            for name, values in _variables(self.source.answers[answer], of).items():
-                found[name][members] = values
+            # The fields of an answer have the order of its variables; of margins the last ones do.
+            values = [of] if answer == "verdict" else of[3:] if answer == "margins" else of
+            for name, own in zip(self.source.answers[answer], values, strict=False):
+                found[name][members] = np.asarray(own)
 
         def made(row: int) -> Any:
             return self.source.made({key: own[row].item() for key, own in flat.items()})
@@ -898,20 +882,12 @@ class _Block:
         return tuple(values.reshape(*shape, *values.shape[1:]) for values in found.values())
 
 
-def _variables(names: Mapping[str, Variable], of: Any) -> dict[str, NDArray[Any]]:
-    """The variables of an answer, whose fields have their order; of margins the last ones."""
-    values = [of] if "verdict" in names else of[3:] if "extra_delay" in names else of
-    return dict(zip(names, map(np.asarray, values), strict=False))
-
-
-def _table(
-    block: _Block, columns: Sequence[_Column], gains: Mapping[str, Any], size: int
-) -> "Dataset":
+def _table(block: _Block, columns: Columns, gains: Mapping[str, Any], size: int) -> "Dataset":
     """Return the answers to be computed in blocks, with what varies and walls as coordinates."""
-    made = xarray_module().DataArray
-    given = {column.name: made(column.values, dims=column.dimension) for column in columns}
-    table = table_of(block, given, block.variables, size, {WALL: len(gains)})
-    labels = {c.name: (c.dimension, c.values, *_described(c.key)) for c in columns}
+    table = table_of(block, columns, block.variables, size, {WALL: len(gains)})
+    labels: dict[str, Any] = {
+        str(own.name): (own.dims, own.values, *_described(key)) for key, own in columns.items()
+    }
     if WALL in table.dims:
         what = "gains" if block.source.of_gains else "wall"
         labels[WALL] = WALL, np.array([*gains]), f"name of the {what}", "1"
