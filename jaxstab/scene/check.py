@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxstab.arrays import tree_map
+from jaxstab.arrays import take, tree_map
 from jaxstab.conventions import Verdict
 from jaxstab.loop import FrequencyMargins as LoopFrequencyMargins
 from jaxstab.loop import Gains, HapticLoop
@@ -156,20 +156,29 @@ def check_walls(scene: Scene, *, in_full: bool = True) -> GainAnswer:
     """
     scene.require_walls()
     felt = contacts_or_reasons(scene) if scene.wanted.measures else {}
-    walls = zip(scene.walls, _walls_of(scene), strict=True)
-    checked = {name: _checked(wall, felt.get(name), in_full=in_full) for name, wall in walls}
+    constant = (with_delay(scene, delay) for delay in dict.fromkeys(scene.controller.delays))
+    corners, walls = [loop for own in constant for loop in corner_loops(own)], walls_of(scene)
+    checked = dict[str, GainAnswer]()
+    for name, (worst, held) in zip(walls, worst_on(scene, [*walls.values()]), strict=True):
+        wall = _Wall(scene, walls[name], list(dict.fromkeys([*corners, held])), worst, held)
+        checked[name] = _checked(wall, felt.get(name), in_full=in_full)
     return GainAnswer({"inputs": basis_of(scene), "walls": checked})
 
 
 def _checked(wall: _Wall, felt: Simulated | str | None, *, in_full: bool) -> GainAnswer:
-    moves, reason = wall.scene.controller.moves, None
+    controller, loops, words = wall.scene.controller, len(wall.loops), None
+    answers = dict[str, Any]()
     if wall.worst.drifts:
-        reason = "left out: nothing holds the position; limits --at-stiffness 0 gives the dampings"
-    elif moves and wall.worst.verdict != Verdict.STABLE:
-        reason = "left out: they are of constant delays, but the delay moves"
-    answers = {} if reason else _measured(wall, in_full=in_full)
-    measures = _measures_are(wall) if answers else reason if wall.scene.wanted.measures else None
-    values = {**wall.worst.values, "measures_are": measures, **answers, "simulated": felt}
+        words = "left out: nothing holds the position; limits --at-stiffness 0 gives the dampings"
+    elif controller.moves and wall.worst.verdict != Verdict.STABLE:
+        words = "left out: they are of constant delays, but the delay moves"
+    elif answers := _measured(wall, in_full=in_full):
+        delays = len({loop.delay for loop in wall.loops})
+        kinds = ["hands"] * (delays < loops) + ["constant delays"] * (delays > 1)
+        lost = ", no sample lost" * controller.moves
+        words = f"the worst of {loops} {' and '.join(kinds)}{lost}" if loops > 1 or lost else None
+    told = {"measures_are": words if wall.scene.wanted.measures else None}
+    values = {**wall.worst.values, **told, **answers, "simulated": felt}
     return GainAnswer(values, is_stable=wall.worst.is_stable)
 
 
@@ -214,12 +223,13 @@ def _measured(wall: _Wall, *, in_full: bool) -> dict[str, Any]:
         worst = int(np.argmax(radius.value))
         answers["spectral_radius"] = float(radius.value[worst])
         answers["radius_error"] = float(radius.error[worst])
-    if (settlings := found("settling", _settlings)) is not None:
-        slowest = [_slowest(each) for each in settlings]
-        two, five = (
-            MotionSettling(each.value[number], each.status[number])
-            for number, each in zip(slowest, settlings, strict=True)
-        )
+    settlings = [
+        found("settling", HapticLoop.settling_time, level=level, horizon=_HORIZON)
+        for level in (0.02, 0.05)
+    ]
+    if settlings[0] is not None:
+        slowest = [*map(_slowest, settlings)]
+        two, five = map(take, settlings, slowest)
         answers |= {
             "settling_time_2_percent": settled(two),
             "settling_time_5_percent": settled(five),
@@ -258,25 +268,6 @@ def _measured(wall: _Wall, *, in_full: bool) -> dict[str, Any]:
     return answers
 
 
-def _walls_of(scene: Scene) -> list[_Wall]:
-    constant = (with_delay(scene, delay) for delay in dict.fromkeys(scene.controller.delays))
-    loops = [loop for own in constant for loop in corner_loops(own)]
-    gains = list(walls_of(scene).values())
-    return [
-        _Wall(scene, pair, list(dict.fromkeys([*loops, held])), verdict, held)
-        for pair, (verdict, held) in zip(gains, worst_on(scene, gains), strict=True)
-    ]
-
-
-def _measures_are(wall: _Wall) -> str | None:
-    """Of how many hands and delays the measures are the worst; None of a single loop."""
-    loops, controller = len(wall.loops), wall.scene.controller
-    delays = len({loop.delay for loop in wall.loops})
-    kinds = ["hands"] * (delays < loops) + ["constant delays"] * (delays > 1)
-    lost = ", no sample lost" if controller.moves else ""
-    return f"the worst of {loops} {' and '.join(kinds)}{lost}" if loops > 1 or lost else None
-
-
 def _stable_around(wall: _Wall) -> dict[str, Any]:
     """The stable values of one gain at the other one, for all loops."""
     stable, rows = StableGains(wall.loops[0], besides=(*wall.loops[1:],)), dict[str, Any]()
@@ -308,11 +299,6 @@ def frequency_answer(found: LoopFrequencyMargins, *, in_full: bool) -> Frequency
             answer[name] = max(value, 0.0)
             answer[f"{name}_at"] = place if place >= 0.0 and name != "least_gain" else None
     return FrequencyMargins(answer)
-
-
-def _settlings(loop: HapticLoop, *gains: float) -> list[MotionSettling]:
-    """The times to settle to 2 % and to 5 %."""
-    return [loop.settling_time(*gains, level=level, horizon=_HORIZON) for level in (0.02, 0.05)]
 
 
 def _slowest(settling: MotionSettling) -> int:
