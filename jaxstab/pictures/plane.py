@@ -265,7 +265,9 @@ def draw_atlas(
         plane = by_name(*hand, delay)
         _draw_verdicts(column[0], alpha, beta, atlas.query(alpha, beta[:, None], **plane).verdict)
         for panel, row in zip(column[1:], rows[1:], strict=True):
-            nodes = _nodes_of(atlas, row, *hand, delay)
+            i, j, k = (_nearest(atlas, *own) for own in plane.items())
+            values = atlas.fields[row][:, :, i, j, k].T.astype(float)
+            nodes = atlas.fields["alpha"][:, k], atlas.fields["beta"][:, k], values
             if row in _FIELDS:
                 filled[row] = panel.pcolormesh(*nodes, norm=_FIELDS[row][1])
             else:
@@ -288,8 +290,8 @@ def draw_atlas(
     figure.legend(handles=_legend(), loc="outside lower center", ncols=3, frameon=False)
     title = f"{plain(atlas.filters_in_words)}\n{hand_label(*hand)}"
     if atlas.has_fields:
-        places = zip((atlas.fields["gamma"], atlas.fields["delta"]), hand, strict=True)
-        near = [float(axis[np.argmin(np.abs(axis - value))]) for axis, value in places]
+        places = zip(("gamma", "delta"), hand, strict=True)
+        near = [float(atlas.fields[axis][_nearest(atlas, axis, own)]) for axis, own in places]
         title += f"; fields at {hand_label(*near)}" * (near != [*hand])
     figure.suptitle(title, fontsize=10)
     return picture(figure, "png")
@@ -369,22 +371,14 @@ def _draw_verdicts(panel: Axes, alpha: Floats, beta: Floats, verdict: NDArray[np
     panel.pcolormesh(alpha, beta, verdict, cmap=colours, vmin=-0.5, vmax=len(Verdict) - 0.5)
 
 
-def _nodes_of(
-    atlas: "Atlas", name: str, gamma: float, delta: float, delay: float
-) -> tuple[Floats, Floats, Floats]:
-    """Return alpha, beta and a field at the nodes of gamma, delta and delay that are nearest."""
-    fields = atlas.fields
-    i, j, k = (
-        int(np.argmin(np.abs(fields[axis] - value)))
-        for axis, value in by_name(gamma, delta, delay).items()
-    )
-    values: Floats = fields[name][:, :, i, j, k].T.astype(float)
-    return fields["alpha"][:, k], fields["beta"][:, k], values
+def _nearest(atlas: "Atlas", axis: str, value: float) -> int:
+    """Return the number of the node of the fields that is nearest to a value."""
+    return int(np.argmin(np.abs(atlas.fields[axis] - value)))
 
 
 def _legend() -> list[Patch]:
-    shown = (Verdict.STABLE, Verdict.UNSTABLE, Verdict.UNDECIDED)
     return [
-        Patch(facecolor=_COLOURS[code], edgecolor="#888888", label=code.name.lower())
-        for code in shown
+        Patch(facecolor=colour, edgecolor="#888888", label=code.name.lower())
+        for code, colour in _COLOURS.items()
+        if code != Verdict.NOT_COMPUTED
     ]

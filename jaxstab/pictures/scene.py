@@ -102,13 +102,8 @@ _LOOKS: dict[Verdict | str, tuple[str, str, str]] = {  # colour, mark and line o
 }
 
 
-def marks_of(walls: Mapping[str, Any]) -> Marks:
-    """The marks of walls in the plane of K and B."""
-    return {name: ((wall.stiffness, wall.damping), wall.verdict) for name, wall in walls.items()}
-
-
-def _spots(marks: Marks) -> Floats:
-    return np.array([spot for spot, _ in marks.values()]).reshape(-1, 2)
+def _with_origin(marks: Marks) -> Floats:
+    return np.array([(0.0, 0.0), *(spot for spot, _ in marks.values())])
 
 
 def _draw_marks(panel: Axes, marks: Marks, noun: str = "wall") -> None:
@@ -211,7 +206,7 @@ def scene_figure(scene: Scene | GainScene, answer: GainAnswer | None = None) -> 
     figure = Figure(figsize=(sum(widths), _HEIGHT), layout="constrained")
     panels = figure.subplots(1, len(widths), squeeze=False, width_ratios=widths)[0]
     planes = [*panels[: 1 + len(beside)]]
-    seen = [np.maximum(region.outline, 0.0), _spots(walls), np.zeros((1, 2))]
+    seen: Any = [np.maximum(region.outline, 0.0), _with_origin(walls)]
     if is_check:
         draw_margins(panels[0], given.walls)
         seen += [np.maximum(line.get_xydata(), 0.0) for line in panels[0].get_lines()]
@@ -262,11 +257,11 @@ def _gain_figure(scene: GainScene) -> Figure:
         marks[name] = (float(x), float(y)), scene.stable.verdict(*pair.values())
     figure = Figure(figsize=(_WIDTH, _HEIGHT), layout="constrained")
     panels = [region.plot(figure.subplots())]
-    points = np.array([*(spot for spot, _ in marks.values()), (0.0, 0.0)])
+    points = _with_origin(marks)
     points = points[np.isfinite(points).all(axis=1)]
     window = np.ptp([panels[0].get_xlim(), panels[0].get_ylim()], axis=1)
     if len(points) > 1 and (np.ptp(points, axis=0) < small * window).all():
-        figure, panels = Figure(figsize=(1.6 * _WIDTH, _HEIGHT), layout="constrained"), []
+        figure = Figure(figsize=(1.6 * _WIDTH, _HEIGHT), layout="constrained")
         panels = [region.plot(panel) for panel in figure.subplots(1, 2)]
         _set_window(panels[1], points)
         panels[1].set_title("enlarged", fontsize=9)
@@ -330,9 +325,8 @@ def _judged(scene: Scene, answer: GainAnswer) -> Marks:
     known = answer.values.get("walls", {})
     judged = {name: wall for name, wall in known.items() if "hands_are" in wall.values}
     if scene.walls and not judged:
-        bare = replace(scene, wanted=replace(scene.wanted, measures=()))
-        return marks_of(check_walls(bare).walls)
-    return marks_of(judged)
+        judged = check_walls(replace(scene, wanted=replace(scene.wanted, measures=()))).walls
+    return {name: ((wall.stiffness, wall.damping), wall.verdict) for name, wall in judged.items()}
 
 
 def _moving_figure(scene: Scene, walls: Marks, basis: Basis) -> Figure:
@@ -343,7 +337,7 @@ def _moving_figure(scene: Scene, walls: Marks, basis: Basis) -> Figure:
     stable = [spot for spot, verdict in walls.values() if verdict == Verdict.STABLE]
     drawn = plot_moving(loop, panel, stable)
     _draw_marks(panel, walls)
-    _set_window(panel, np.concatenate([drawn, _spots(walls), np.zeros((1, 2))]))
+    _set_window(panel, np.concatenate([drawn, _with_origin(walls)]))
     _label_gains(panel, scene.units)
     _write_basis(figure, scene, basis)
     return _with_legend(figure, [panel], walls, 3)

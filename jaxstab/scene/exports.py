@@ -23,7 +23,7 @@ from jaxstab.conventions import Verdict
 from jaxstab.guard import Guard, build_guard
 from jaxstab.guard.build import CELLS, CONSTANT_CELLS
 from jaxstab.guard.guard import LARGEST_HEADER
-from jaxstab.loop import Gains, HapticLoop
+from jaxstab.loop import HapticLoop
 from jaxstab.model import Velocity
 from jaxstab.scene.answers import GainAnswer, Quantity, basis_of, blocks_of
 from jaxstab.scene.limits import stable_intervals
@@ -92,33 +92,22 @@ def guard_about(scene: Scene, guard: Guard) -> str:
     damping = Quantity("N s/m").words(scene.device.effective_damping, units)
     blocks["device"] = f"{range_in_words(guard.mass)} {units.kilogram}, {damping}"
     del blocks["delay"]
-    lost = f", up to {guard.lost} in a row lost" if guard.lost else ""
-    motion = (
-        "constant during contact"
-        if guard.is_delay_constant
-        else f"varying from sample to sample{lost}"
-    )
+    motion, stable = "constant during contact", "the stable stiffness"
+    if not guard.is_delay_constant:
+        motion, stable = "varying from sample to sample", "what constant delays allow"
+        motion += f", up to {guard.lost} in a row lost" if guard.lost else ""
     blocks[f"delay, {motion}"] = f"{range_in_words(guard.delay)} s"
-    lines = (f"{name}: {words}" for name, words in blocks.items())
-    return "\n".join([*lines, "", *_granted(scene, guard)])
-
-
-def _granted(scene: Scene, guard: Guard) -> list[str]:
-    """The share of the stable walls that is granted, and where it is least, in lines."""
-    units, least, stiffness = scene.units, guard.costliest, Quantity("N/m", 4, ROUND_FLOOR)
-    limited = f", for {OneHand(*least.hand).in_words(units)}" if any(least.hand) else ""
-    proved = float(np.diff(guard.rows).mean()) / guard.grid.cells[2]
-    left = (
-        f"{100.0 * (1.0 - proved):.1f} % of the table is not proved; there both gains are set to 0."
-    )
+    lines = [f"{name}: {words}" for name, words in blocks.items()]
+    lines += ["", f"It grants {100.0 * guard.granted:.1f} % of {stable}, on average."]
+    left = 100.0 * (1.0 - float(np.diff(guard.rows).mean()) / guard.grid.cells[2])
+    if left > 0.0:
+        lines.append(f"{left:.1f} % of the table is not proved; there both gains are set to 0.")
+    least, stiffness = guard.costliest, Quantity("N/m", 4, ROUND_FLOOR)
     at = "any delay" if least.delay is None else f"a delay of {Quantity('s').words(least.delay)}"
-    stable = "the stable stiffness" if guard.is_delay_constant else "what constant delays allow"
+    at += f", for {OneHand(*least.hand).in_words(units)}" if any(least.hand) else ""
     granted, exact = (stiffness.words(K, units) for K in (least.granted, least.exact))
-    return [
-        f"It grants {100.0 * guard.granted:.1f} % of {stable}, on average.",
-        *([left] if proved < 1.0 else []),
-        f"It is least at {least.mass:g} {units.kilogram} and {at}{limited}: {granted} of {exact}.",
-    ]
+    words = f"It is least at {least.mass:g} {units.kilogram} and {at}: {granted} of {exact}."
+    return "\n".join([*lines, words])
 
 
 # An atlas: its specification, and its answers about walls.
@@ -209,11 +198,19 @@ def certificate(scene: Scene) -> dict[str, Any]:
         "delay_samples": (loop.delay_samples,),
     }
     exact = {name: str(sum(Fraction(float(x)) for x in own)) for name, own in numbers.items()}
-    return {
-        "format": "jaxstab wall 1",
-        "loop": {**exact, "velocity": _estimator(loop)},
-        "walls": {name: _claims(loop, wall) for name, wall in walls_of(scene).items()},
-    }
+    walls = dict[str, Any]()
+    for name, wall in walls_of(scene).items():
+        verdict = Verdict(int(loop.verdict(*wall)))
+        if verdict == Verdict.UNDECIDED:
+            raise ValueError(f"the wall {tuple(wall)} is not decided; there is nothing to certify.")
+        line = loop.stiffness_intervals(wall.damping)
+        intervals = stable_intervals([line], 1.0, wall.stiffness)
+        walls[name] = {key: str(Fraction(gain)) for key, gain in wall._asdict().items()} | {
+            "verdict": verdict.name.lower(),
+            "stiffness_intervals": [[repr(a), repr(b)] for a, b in intervals if a < b],
+        }
+    about = {**exact, "velocity": _estimator(loop)}
+    return {"format": "jaxstab wall 1", "loop": about, "walls": walls}
 
 
 def _estimator(loop: HapticLoop) -> dict[str, str]:
@@ -225,16 +222,3 @@ def _estimator(loop: HapticLoop) -> dict[str, str]:
             f"velocity is {loop.velocity}; a certificate is of a difference or a low pass."
         )
     return {name: str(Fraction(value)) for name, value in keys.items()}
-
-
-def _claims(loop: HapticLoop, wall: Gains) -> dict[str, Any]:
-    verdict = Verdict(int(loop.verdict(*wall)))
-    if verdict == Verdict.UNDECIDED:
-        raise ValueError(f"the wall {tuple(wall)} is not decided; there is nothing to certify.")
-    intervals = stable_intervals([loop.stiffness_intervals(wall.damping)], 1.0, wall.stiffness)
-    return {
-        "stiffness": str(Fraction(wall.stiffness)),
-        "damping": str(Fraction(wall.damping)),
-        "verdict": verdict.name.lower(),
-        "stiffness_intervals": [[repr(low), repr(high)] for low, high in intervals if low < high],
-    }
