@@ -6,7 +6,7 @@ import sys
 from decimal import ROUND_FLOOR, ROUND_HALF_EVEN
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -25,11 +25,9 @@ from jaxstab.cli.options import (
 )
 from jaxstab.cli.scene import scene_command, scene_of, wall_option, warn
 from jaxstab.conventions import AXES, Verdict
+from jaxstab.durable import named_errors, publish, require_no_output
 from jaxstab.shown import number_text, table_text
 from jaxstab.tables import columns_of
-
-if TYPE_CHECKING:
-    from jaxstab.atlas import Atlas, AtlasAnswer
 
 
 @click.command()
@@ -41,12 +39,11 @@ def build(spec: Path | None, output: Path, **where: Any) -> None:
 
     The file appears when it is whole. Ctrl-C ends the build at once and leaves nothing.
     """
-    from jaxstab.atlas import AtlasSpec
     from jaxstab.atlas.build import workers_of, write_atlas
     from jaxstab.atlas.spec import HAPTIC
 
     keep_programs()
-    chosen = AtlasSpec.from_file(spec) if spec else HAPTIC
+    chosen = jaxstab.AtlasSpec.from_file(spec) if spec else HAPTIC
     with at_work(f"building {output}") as show, workers_in(where) as (pool, client):
         write_atlas(chosen, output, show, workers_of(client) if client else pool)
     click.echo(_described(jaxstab.open_atlas(output), output))
@@ -95,14 +92,14 @@ def verify(file: Path, sample: int) -> None:
     sys.exit(0 if passed else 1)
 
 
-def _described(opened: "Atlas", file: Path) -> str:
+def _described(opened: "jaxstab.results.Atlas", file: Path) -> str:
     """The contents of an atlas, ending in a line to query it."""
     options = " ".join(f"--{name} {value:g}" for name, value in _example(opened).items())
     query = f"Query it with\n  jaxstab atlas query {shlex.quote(str(file))} {options}"
     return f"{file}: {file.stat().st_size / 1e6:.2f} MB\n{opened!r}\n\n{query}"
 
 
-def _example(opened: "Atlas") -> dict[str, float]:
+def _example(opened: "jaxstab.results.Atlas") -> dict[str, float]:
     """A wall in the middle of the stable ones of the first plant; of any, where none is known."""
     table = opened.table
     plant = {name: float(getattr(table, name)[0]) for name in ("gamma", "delta", "delay")}
@@ -148,8 +145,6 @@ def query(
     ranges; of those between nothing is said. The exit code is 0 if every verdict is stable, 1 if
     not.
     """
-    from jaxstab.model import Filter
-
     given = {name: value for name, value in point.items() if value is not None}
     if wall and scene_file is None:
         raise click.UsageError("--wall is given without a scene; give --scene FILE.")
@@ -167,7 +162,7 @@ def query(
         words = opened.filters_in_words.removeprefix("velocity: ")
         velocity, _, position = words.partition("; position: ")
         filters = {"velocity": velocity, "position": position}
-        if position == str(Filter()):
+        if position == str(jaxstab.Filter()):
             del filters["position"]
         inputs = filters | {"created_by": opened.created_by}
         stated = {"inputs": inputs, "units": dict.fromkeys(AXES, "1")}
@@ -187,7 +182,6 @@ def plot(
     file: Path, output: Path, gamma: float | None, delta: float | None, delay: tuple[float, ...]
 ) -> None:
     """Draw verdicts and fields in the (alpha, beta) plane."""
-    from jaxstab.durable import publish, require_no_output
     from jaxstab.pictures.plane import draw_atlas
 
     require_no_output(file)
@@ -210,13 +204,15 @@ def _points(table: Path | None, given: dict[str, float]) -> dict[str, list[float
     return {name: columns[name] if name in columns else [given[name]] * count for name in AXES}
 
 
-def _answered(points: dict[str, list[float]], answer: "AtlasAnswer") -> list[dict[str, Any]]:
+def _answered(
+    points: dict[str, list[float]], answer: "jaxstab.results.AtlasAnswer"
+) -> list[dict[str, Any]]:
     """A row of words and numbers for each point."""
-    from jaxstab.atlas import QueryStatus
-
     columns = dict[str, list[Any]](points)
     columns["verdict"] = [Verdict(code).name.lower() for code in answer.verdict.tolist()]
-    columns["status"] = [QueryStatus(code).name.lower() for code in answer.status.tolist()]
+    columns["status"] = [
+        jaxstab.results.QueryStatus(code).name.lower() for code in answer.status.tolist()
+    ]
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
@@ -242,7 +238,6 @@ _FIGURES = range(4, 11)
 @click.option("--format", "form", type=click.Choice(["png", "svg"]), default="png")
 def figure(number: str, output: Path, form: str) -> None:
     """Draw a figure of Hulin, Preusche, Hirzinger (2008): NUMBER is 4 ... 10, or all."""
-    from jaxstab.durable import named_errors, publish
     from jaxstab.pictures.plane import paper_figure
     from jaxstab.pictures.style import picture
 
@@ -269,7 +264,6 @@ def region(
     gamma: float, delta: float, delay: float, radius: float, output: Path | None, as_json: bool
 ) -> None:
     """Measure the stable region in the (alpha, beta) plane, and draw it."""
-    from jaxstab.model import Velocity
     from jaxstab.paper.facts import region_facts
 
     with at_work(f"region of a loop with {delay:g} samples of delay"):
@@ -281,7 +275,7 @@ def region(
     if as_json:
         inputs = {name: facts.pop(name) for name in ("gamma", "delta", "delay", "radius")}
         units = dict.fromkeys([*inputs, *(name for name in facts if facts[name] is not None)], "1")
-        inputs = {"velocity": str(Velocity()), **inputs}
+        inputs = {"velocity": str(jaxstab.Velocity()), **inputs}
         stated = {"inputs": inputs, "units": units, **facts}
         click.echo(json.dumps(stated, indent=1, allow_nan=False))
     else:

@@ -2,16 +2,20 @@
 
 import json
 import os
+import warnings
 from collections.abc import Callable
 from dataclasses import Field, fields
 from functools import cache, partial
 from math import inf
 from pathlib import Path
 from types import UnionType
-from typing import TYPE_CHECKING, Any, NamedTuple, get_args
+from typing import Any, NamedTuple, get_args
 
 import click
 
+import jaxstab
+from jaxstab import scene as scenes
+from jaxstab import tables as t
 from jaxstab.cli.options import (
     at_work,
     computing,
@@ -28,10 +32,8 @@ from jaxstab.cli.options import (
     together,
     write_beside,
 )
+from jaxstab.durable import publish
 from jaxstab.shown import printable, table_text
-
-if TYPE_CHECKING:
-    from jaxstab.scene import Scene
 
 # Options that describe scenes, and the tables of scenes that files and options make.
 
@@ -82,11 +84,10 @@ def scene_command(
 def _option(name: str, entry: Field[Any], *, is_velocity: bool) -> click.Option:
     """Return the option of a key: its kind is that of the field, its unit that of the check."""
     from jaxstab.scene.scene import Units
-    from jaxstab.tables import unit_of
 
     kind = get_args(entry.type)[0] if isinstance(entry.type, UnionType) else entry.type
     reads: dict[str, Any] = {"type": kind}
-    words, unit = entry.metadata["words"], unit_of(entry)
+    words, unit = entry.metadata["words"], t.unit_of(entry)
     words = f"velocity: {words}" if is_velocity else words
     if unit != "1":
         turning = Units.ROTATION.unit(unit)
@@ -150,8 +151,6 @@ scene_options = together(
 
 def tables_of(given: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """Return the table of each file, or an empty one, with the options in place of its values."""
-    from jaxstab.tables import read_table
-
     files = given.get("files") or ()
     describing = "device", "mass", "inertia", "damping", "sample_time", "wall", "gains", "set"
     if not files and all(value in (None, (), {}) for value in map(given.get, describing)):
@@ -159,18 +158,16 @@ def tables_of(given: dict[str, Any]) -> dict[str, dict[str, Any]]:
             "no scene is given; give the FILE of one (jaxstab scene init -o scene.toml writes an "
             "example), or options, such as --device omega --sample-time 0.001 --delay 0.001."
         )
-    tables = {str(file): read_table(file, "scene") for file in files} or {"": {}}
+    tables = {str(file): t.read_table(file, "scene") for file in files} or {"": {}}
     return {source: _merged(table, given) for source, table in tables.items()}
 
 
-def scene_of(given: dict[str, Any], what: str = "") -> "Scene":
+def scene_of(given: dict[str, Any], what: str = "") -> "scenes.Scene":
     """Return the checked scene of one file and options, for ``what`` there may be one alone."""
-    from jaxstab.scene import Scene
-
     if len(given.get("files", ())) > 1:
         raise click.UsageError(f"{what} is for one scene; give one FILE.")
     ((source, table),) = tables_of(given).items()
-    return Scene.from_table(table, source)
+    return scenes.Scene.from_table(table, source)
 
 
 def warn(*unusual: str) -> None:
@@ -189,8 +186,6 @@ def sentence_of(error: OSError) -> str:
 
 
 def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
-    from jaxstab.tables import value_of, with_value
-
     period, rate = ("controller", "sample_time"), given.get("rate")
     options = {path: name for name, (path, _) in _keys().items() if given.get(name) is not None}
     chosen: dict[tuple[str, ...], Any] = {path: given[name] for path, name in options.items()}
@@ -210,9 +205,9 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
         chosen["walls", name] = {"stiffness": stiffness, "damping": damping}
     own = {path[1] for path in chosen if path[0] == "controller"}
     if "velocity" in own:  # in place of all that the file says
-        table = with_value(table, "controller.velocity", {}, ["controller", "velocity"])
+        table = t.with_value(table, "controller.velocity", {}, ["controller", "velocity"])
     for path, value in chosen.items():
-        table = with_value(table, ".".join(path), value, path)
+        table = t.with_value(table, ".".join(path), value, path)
     if {"delay", "delay_samples"} & own:  # in either unit
         is_kept = "constant" if not chosen.get(("controller", "lost_samples")) else None
         table["controller"] = {
@@ -225,7 +220,7 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
         if path in options:
             option = options[path].replace("_", "-")
             raise click.UsageError(f"--set {name} is given beside --{option}; give one of them.")
-        table = with_value(table, name, value_of(value), path)
+        table = t.with_value(table, name, t.value_of(value), path)
     return table
 
 
@@ -269,10 +264,9 @@ def _answer(
         others = ("plot", "safety", "stiffness", "at_damping", "at_stiffness")
         words = "is given, but what walls need of one quantity is asked for; leave it out."
         refuse({name: given.get(name) for name in others}, words)
-    from jaxstab.scene import Backwards, any_scene
 
-    make: Any = partial(any_scene, may_be_measured=True)
-    make = partial(Backwards.from_table, asked=asked) if asked else make
+    make: Any = partial(scenes.any_scene, may_be_measured=True)
+    make = partial(scenes.Backwards.from_table, asked=asked) if asked else make
     is_one, rows = len(given["files"]) <= 1, list[_Row]()
     refusals = () if is_one else (ValueError, TypeError, RuntimeError)
     for source, table in tables_of(given).items():
@@ -311,11 +305,9 @@ def _answer(
 
 def _require_picture(scene: Any, name: str, *, is_one: bool) -> None:
     """Refuse a picture of what has none, before anything is computed."""
-    from jaxstab.scene import GainScene, MeasuredScene
-
-    if isinstance(scene, MeasuredScene):
+    if isinstance(scene, scenes.MeasuredScene):
         raise click.UsageError("a measured response has no picture; leave --plot out.")
-    if isinstance(scene, GainScene):
+    if isinstance(scene, scenes.GainScene):
         if not is_one:
             raise click.UsageError("a picture of several scenes is for walls; give one FILE.")
     elif not (is_one and (name in ("tune", "design") or scene.controller.moves)):
@@ -326,9 +318,7 @@ def _require_picture(scene: Any, name: str, *, is_one: bool) -> None:
 
 
 def _computed(scene: Any, name: str, options: dict[str, Any]) -> Any:
-    import jaxstab.scene
-
-    if not isinstance(scene, jaxstab.scene.Scene):
+    if not isinstance(scene, scenes.Scene):
         with at_work(f"{name} of a loop"):
             return scene.answer(name)
     every = ", proved for every sequence of delays" if scene.controller.moves else ""
@@ -340,7 +330,7 @@ def _computed(scene: Any, name: str, options: dict[str, Any]) -> Any:
         "contact": "simulate_contacts",
     }
     with at_work(f"{name} of a loop with {scene.controller.samples:g} samples of delay{every}"):
-        return getattr(jaxstab.scene, functions[name])(scene, **options)
+        return getattr(scenes, functions[name])(scene, **options)
 
 
 def _table(rows: list[_Row], paths: list[str]) -> str:
@@ -438,14 +428,12 @@ def contact(output: Path | None, count: int | None, frictions: str | None, **giv
         return _answer(given, "contact")
     beside = {"plot": given["plot"], "csv": given["csv_file"], "json": given["as_json"]}
     refuse(beside, "is given beside --output; give one of them.")
-    from jaxstab.loop import ContactKind
     from jaxstab.scene.answers import delay_notes
     from jaxstab.scene.contact import map_contacts
     from jaxstab.scene.study import listed
-    from jaxstab.tables import computed, require_free, write
 
     scene = scene_of(given, "a map")
-    require_free(output)
+    t.require_free(output)
     keep_programs()
     warn(*scene.unusual(), *delay_notes(scene))
     forces = None if frictions is None else [*map(float, listed("friction", frictions))]
@@ -455,9 +443,9 @@ def contact(output: Path | None, count: int | None, frictions: str | None, **giv
     words = f"{planned.kind.size:,} contacts of {scene.contact.duration:g} s"
     click.echo(f"jaxstab: {axes}: {words}, simulated, not proved", err=True)
     with computing(given):
-        table = computed(planned)
-    write(table, output)
-    rests = float((table.kind == ContactKind.RESTS).mean())
+        table = t.computed(planned)
+    t.write(table, output)
+    rests = float((table.kind == jaxstab.results.ContactKind.RESTS).mean())
     click.echo(f"{output}: {100.0 * rests:.1f} % of the contacts come to rest")
     return 0
 
@@ -509,15 +497,13 @@ def scene() -> None:
 )
 def init(output: Path | None, kind: str) -> None:
     """Write a commented example of a scene."""
-    from jaxstab.durable import publish
     from jaxstab.scene.scene import folder_of
-    from jaxstab.tables import require_free
 
     text = (folder_of("scenes/gains") / f"{kind}.toml").read_text(encoding="utf-8")
     if output is None or str(output) == "-":
         click.echo(text, nl=False)
         return
-    require_free(output)
+    t.require_free(output)
     publish(text.encode(), output)
     click.echo(output)
 
@@ -537,12 +523,11 @@ def presets() -> None:
 @click.argument("file", type=Path)
 def explain(file: Path) -> None:
     """Print the model of a scene FILE: its blocks with their values, and what it leaves out."""
-    from jaxstab.scene import GainScene, any_scene, explain_gains, explain_model
-
     ((source, table),) = tables_of({"files": [file]}).items()
-    scene = any_scene(table, source)
+    scene = scenes.any_scene(table, source)
     warn(*scene.unusual())
-    click.echo(explain_gains(scene) if isinstance(scene, GainScene) else explain_model(scene))
+    is_wall = isinstance(scene, scenes.Scene)
+    click.echo(scenes.explain_model(scene) if is_wall else scenes.explain_gains(scene))
 
 
 # The command that writes a page to explore a scene in.
@@ -564,7 +549,6 @@ def explore(file: Path | None, output: Path) -> None:
     It begins with the scene of FILE; without one, with an omega-like device and the velocity of its
     maker's software. The page is one file, and needs a browser, but no network.
     """
-    from jaxstab.durable import publish
     from jaxstab.explore import explorer_page
     from jaxstab.scene.answers import delay_notes
 
@@ -609,7 +593,6 @@ def guard(output: Path, plot: Path | None, **given: Any) -> None:
     lost = given.pop("lost_samples") or 0  # beside one delay of the scene, too
     scene = scene_of(given, "a guard")
     warn(*scene.unusual())
-    from jaxstab.durable import publish
     from jaxstab.guard.build import plan_guard
     from jaxstab.guard.guard import checked_name
     from jaxstab.scene.exports import cells_of, guard_about, scene_guard
@@ -678,13 +661,8 @@ def identify(
     With --kp and --kd it is of a closed servo, its setpoint in place of the force, with a step:
     inertia, damping and delay are fitted.
     """
-    import warnings
-
-    from jaxstab.durable import publish
-    from jaxstab.model import Velocity
     from jaxstab.scene import identify as fits
-    from jaxstab.scene.scene import Scene, Units
-    from jaxstab.tables import parsed
+    from jaxstab.scene.scene import Units
 
     gains = {name: given.pop(name) for name in ("kp", "kd")}
     is_servo = None not in gains.values()
@@ -706,13 +684,14 @@ def identify(
     with warnings.catch_warnings(), at_work(f"fitting {log}"):
         warnings.simplefilter("ignore", UserWarning)  # the scene's are printed
         if is_servo:
-            window = None if window_samples is None else Velocity.difference(window_samples)
+            window = None if window_samples is None else jaxstab.Velocity.difference(window_samples)
             device = fits.identify_servo(**columns, **gains, velocity=window)
         else:
             device = fits.identify(**columns, spring=spring)
     units = Units.ROTATION if turns else Units.LINE
     scene = fits.identified_scene(device, units, log.name)
-    warn(*filter(None, [clash, device.warning]), *Scene.from_table(parsed(scene)).unusual())
+    unusual = scenes.Scene.from_table(t.parsed(scene)).unusual()
+    warn(*filter(None, [clash, device.warning]), *unusual)
     if plot:
         from jaxstab.pictures.scene import identified_figure
 
@@ -754,7 +733,6 @@ def joints(
     actuators, or of --gains. With --simulated and no --rate they are inside of the simulation's
     step. The exit code is 0 if all gains are proved stable, 1 if not, or if no joint has any.
     """
-    import jaxstab
     from jaxstab.scene.joints import read_gains
 
     require_one_stdout(as_json, csv_file)

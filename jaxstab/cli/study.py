@@ -21,7 +21,9 @@ from jaxstab.cli.options import (
     split,
 )
 from jaxstab.cli.scene import mechanics_options, scene_command, tables_of
+from jaxstab.conventions import Verdict
 from jaxstab.shown import printable, rounded_text, table_text
+from jaxstab.tables import computed, require_free, write
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -78,7 +80,6 @@ def study(
     Lists of values span a grid, distributions are drawn at each of its points.
     """
     from jaxstab.scene.study import merged, plan_study
-    from jaxstab.tables import computed, require_free, write
 
     if output is None and (merge or part):
         raise click.UsageError("--merge and --part are given without --output; give the file.")
@@ -131,7 +132,6 @@ _INWARDS = {"largest": ROUND_FLOOR, "least": ROUND_CEILING}
 
 
 def _report(table: "Dataset", *, is_small: bool) -> str:
-    from jaxstab.conventions import Verdict
     from jaxstab.scene.study import limit_in, quantiles, shares, walls_in
 
     walls, limit = walls_in(table), limit_in(table)
