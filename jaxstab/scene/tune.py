@@ -433,22 +433,18 @@ class Backwards:
             inputs, options["mass"] = Basis(inputs.values | {"mass": (nan, nan)}), None
         if options["mass"] or (scene.hand and scene.hand.varies):
             options["hands"] = range_of_hands(scene)
-        found = {
-            name: (wall, range_of(loop_of(scene), quantity, wall, **options))
-            for name, wall in walls_of(scene).items()
-        }
         has_one_delay = self.scene.controller.has_one_delay
         every = " for every hand" if "hands" in options else ""
         every += "" if has_one_delay else " at a constant delay"
-        walls = {
-            name: _needs(wall, values, scene.units, every) for name, (wall, values) in found.items()
-        }
+        walls = dict[str, GainAnswer]()
+        for name, wall in walls_of(scene).items():
+            found = range_of(loop_of(scene), quantity, wall, **options)
+            walls[name] = _needs(wall, found, scene.units, every)
         if self.asked == "damping":
             inputs = Basis(inputs.values | {"damping_is": None})
         # ``limits`` answers for all delays, ``design`` for the one that its answer names.
         is_for_all = command == "design" or has_one_delay
-        values = {"inputs": inputs, "walls": walls}
-        return GainAnswer(values, is_stable=is_for_all)
+        return GainAnswer({"inputs": inputs, "walls": walls}, is_stable=is_for_all)
 
 
 def _needs(wall: Gains, found: StableValues, units: Units, every: str) -> GainAnswer:
