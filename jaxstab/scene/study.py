@@ -463,7 +463,7 @@ def distribution_of(text: str) -> Any:
         return Column(file, column, values)
     if not parts or isinstance(_number_or_text(kind), float):
         return None
-    try:
+    with suppress(ValueError):
         a, b = map(float, parts)
         match kind:
             case "normal":
@@ -472,8 +472,6 @@ def distribution_of(text: str) -> Any:
                 return stats.uniform(a, b - a)
             case "lognormal" if b > 1.0:
                 return stats.lognorm(log(b), scale=a)
-    except ValueError:
-        pass
     raise ValueError(
         f"{shortened(text)} is no distribution; give normal:MEAN:DEVIATION, uniform:LOW:HIGH, "
         "lognormal:MEDIAN:FACTOR with a FACTOR above 1, or csv:FILE:COLUMN."
@@ -485,16 +483,14 @@ def listed(key: str, text: str) -> list[float | str]:
 
     Spaced ones have 15 digits: 0.2, not 0.20000000000000001.
     """
-    ends, most = text.split(":"), 100_000
+    ends, kinds, most = text.split(":"), (float, float, int), 100_000
     if len(ends) == 1 and text:
         return [_number_or_text(value) for value in text.split(",")]
-    try:
-        low, high, count = float(ends[0]), float(ends[1]), int(ends[2])
-        if len(ends) == 3 and 2 <= count <= most and isfinite(high - low):
+    with suppress(ValueError):
+        low, high, count = (kind(end) for kind, end in zip(kinds, ends, strict=True))
+        if 2 <= count <= most and isfinite(high - low):
             between = np.linspace(low, high, count)[1:-1].tolist()
             return [low, *(float(f"{value:.15g}") for value in between), high]
-    except (ValueError, IndexError):
-        pass
     raise ValueError(
         f"{key} is {shortened(text)}; give LOW:HIGH:COUNT with a COUNT from 2 to {most}, "
         "or VALUE,VALUE,..."
