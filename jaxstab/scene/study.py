@@ -36,7 +36,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import NDArray
-from scipy.stats import binomtest
 
 import jaxstab
 from jaxstab.batches import alike
@@ -196,6 +195,8 @@ def shares(study: "Dataset", *, confidence: float = 0.95) -> "Dataset":
     count = verdict.sizes[SAMPLE]
     stable = (verdict == Verdict.STABLE).sum(SAMPLE).compute()
     undecided = (verdict == Verdict.UNDECIDED).sum(SAMPLE).compute()
+
+    from scipy.stats import binomtest  # it takes longer to import than a study of few loops
 
     def ends(stable: Any) -> tuple[float, float]:
         return (*binomtest(int(stable), count).proportion_ci(confidence, "wilson"),)
