@@ -133,6 +133,14 @@ def test_columns_that_are_shifted_in_time_are_told(rows: int, delay: float) -> N
     assert (words in found.warning) == (delay < 0.0) == bool(found.warning)
 
 
+def test_columns_that_are_shifted_by_more_rows_than_are_tried_are_refused() -> None:
+    """The search stays within the rows of the log that it keeps beside a segment."""
+    log = simulated(Pushed(), 4000, 3)
+    far = replace(log, force=log.force[:-12], position=log.position[12:])
+    with pytest.raises(ValueError, match="log force and position of the same sample in one row"):
+        identified(Pushed(), far)
+
+
 def test_a_mass_without_friction_is_found_to_rounding() -> None:
     """In closed form, with positions of float64: constant accelerations from sample to sample."""
     push = np.repeat(np.random.default_rng(3).choice([-1.0, 1.0], 200), 10)
