@@ -65,7 +65,8 @@ def of_kind(kind: str, rng: np.random.Generator) -> Asked:
         if pair is None:
             continue
         nothing = (1e90, 0.0) if kind == "admittance" else (0.0, 0.0)
-        opened = {"is_open": True} if kind in ("kp-ki", "kp-kd") else {}  # the given gain, too
+        is_pid = kind in ("kp-ki", "kp-kd", "ki-kd")
+        opened = {"is_open": True} if is_pid else {}  # the given gain, too
         with mp.workdps(120):
             below, whole = (
                 polynomial_exactly(case.matrix(*g, exact=True, **own))
