@@ -29,19 +29,13 @@ def explorer_page(scene: Scene, title: str = "") -> str:
     """
     _refuse_others(scene)
     is_range = scene.hand is not None and scene.hand.varies
-    # The velocity estimators of software, as far as their makers document them.
-    keys, paper = (
-        ("window", *NO_FILTER),
-        {"title": "the difference over one sample, as in the paper"},
-    )
-    software = ((name, own.values(keys)) for name, own in presets("software").items())
     initial = {
         "state": _state(scene),
         "units": {
             units.name.lower(): {"stiffness": units.stiffness, "damping": units.damping}
             for units in Units
         },
-        "software": [paper, *({"title": name, **own} for name, own in software if own)],
+        "software": _software(),
         "hands": {"lowest": _hand(scene, 0), "highest": _hand(scene, 1)} if is_range else None,
         "notes": _notes(scene, title),
     }
@@ -138,6 +132,14 @@ def _coefficients(velocity: Velocity, period: float) -> dict[str, list[float]]:
     length = max(map(len, sides))
     numerator, denominator = ([*side, *[0.0] * (length - len(side))] for side in sides)
     return {"numerator": numerator, "denominator": denominator}
+
+
+def _software() -> list[dict[str, Any]]:
+    """Return the velocity estimators of software, as far as their makers document them."""
+    keys = ("window", *NO_FILTER)
+    estimators = {name: preset.values(keys) for name, preset in presets("software").items()}
+    plain: list[dict[str, Any]] = [{"title": "the difference over one sample, as in the paper"}]
+    return plain + [{"title": name, **values} for name, values in estimators.items() if values]
 
 
 def _notes(scene: Scene, title: str) -> list[str]:

@@ -136,7 +136,7 @@ class _Place(NamedTuple):
 def write_names(panel: Axes, spots: Mapping[str, Spot], levels: Sequence[Level] = ()) -> None:
     """Write names beside their spots, and values on their lines, on axes that are laid out."""
     lifts = (0, 11, -11, 22, -22, 34, -34, 46, -46, 60, -60, 80, -80)  # points
-    beside, most_places, longest = 12, 60, 28  # the last one in letters, of a name
+    beside, most_places = 12, 60
     taken = _marks(panel)
     for name, spot in spots.items():
         if not panel.bbox.contains(*panel.transData.transform(spot)):
@@ -146,8 +146,7 @@ def write_names(panel: Axes, spots: Mapping[str, Spot], levels: Sequence[Level] 
         ]
         box: Any = {"boxstyle": "round,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.75}
         look: Any = {"fontsize": 9, "zorder": 6, "bbox": box}
-        short = name if len(name) <= longest else f"{name[: longest - 11]}…{name[-10:]}"
-        best = _write(panel, plain(short), places, taken, look)
+        best = _write(panel, plain(_short(name)), places, taken, look)
         if abs(best.offset[1]) > beside:
             line: Any = {"arrowstyle": "-", "lw": 0.6, "shrinkA": 0, "shrinkB": 5}
             panel.annotate("", spot, best.offset, textcoords="offset points", arrowprops=line)
@@ -159,6 +158,11 @@ def write_names(panel: Axes, spots: Mapping[str, Spot], levels: Sequence[Level] 
         look = {"fontsize": 8, "color": level.colour, "path_effects": HALO, "zorder": 4}
         if places:
             _write(panel, plain(level.words), places, taken, look)
+
+
+def _short(name: str) -> str:
+    most, end = 28, 10  # letters
+    return name if len(name) <= most else f"{name[: most - end - 1]}…{name[-end:]}"
 
 
 def _farthest_first(panel: Axes, points: Floats, taken: Sequence[Bbox]) -> Floats:
