@@ -186,7 +186,7 @@ CASES: dict[str, tuple[Callable[[], Any], int]] = {
         lambda: stable_over(triangle, Axis(0.5, 1.1, 3), Axis(0.25, 0.75, 2)),
         496,
     ),
-    "parts of a curve": (lambda: curve_parts(ScaledLoop(FAR, (1.0, 1.0))), 907),
+    "parts of a curve": (lambda: curve_parts(ScaledLoop(FAR, (1.0, 1.0))), 834),
     "series of a curve": (
         lambda: curve_around(ScaledLoop(FREE, (1.0, 1.0)), [(0.31, 1e-20), (2.9, 0.0)]),
         582,
@@ -195,7 +195,7 @@ CASES: dict[str, tuple[Callable[[], Any], int]] = {
         lambda: undamped_modes(ScaledLoop(UNDAMPED, (1.0, 1.0)), np.array([0.99 + 0.01j]), 1e9),
         42,
     ),
-    "lines of a root": (lambda: root_lines(ScaledLoop(PEDAL, (1.0, 1.0))), 318),
+    "lines of a root": (lambda: root_lines(ScaledLoop(PEDAL, (1.0, 1.0))), 300),
     "others inside": (
         lambda: others_inside(
             ScaledLoop(FILTERED, (1.0, 1.0)), np.linspace(0.1, 3.0, 7), np.zeros(7)

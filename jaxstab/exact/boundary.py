@@ -23,12 +23,7 @@ from flint import acb, acb_poly, arb, arb_poly, ctx
 from jaxtyping import Bool, Complex128, Float64
 
 from jaxstab.conventions import Verdict
-from jaxstab.exact.line import (
-    StableLine,
-    is_real_quotient,
-    real_quotient_angles,
-    stable_pencil,
-)
+from jaxstab.exact.line import StableLine, is_real_quotient, real_quotient_angles, stable_pencil
 from jaxstab.exact.roots import roots_outside, wall_verdict
 from jaxstab.model import LoopParameters
 from jaxstab.model.affine import AffineParts, affine_triple
@@ -84,8 +79,8 @@ class CurveParts(NamedTuple):
         shifted: the same in powers of zeta - 1, for z = zeta and for z = -zeta.
         ends: the parts of p(1) and of (-1)^n p(-1).
         zeros, roots: of the plant's numerator and of its denominator.
-        poles: the angles where V is real; those of the lines where it is real everywhere.
-        is_straight: True if V is real everywhere.
+        poles: the angles where V is real, or the plant if V always is.
+        is_straight: True if V is real on the whole circle.
     """
 
     triple: Float64[np.ndarray, "3 power"]
@@ -115,12 +110,11 @@ def curve_parts(loop: ScaledLoop) -> CurveParts:
             for place in (1, -1)
         ]
         roots = _roots(own.numerator), _roots(own.denominator)
-        poles = np.array([float(angle.mid()) for angle in _poles(loop)])
+        angles, is_straight = _poles(loop)
+        poles = np.array([float(angle.mid()) for angle in angles])
     falling = np.array(triple)[:, ::-1]
-    return CurveParts(
-        falling, np.array(whole), np.array(shifted), np.array(ends), *roots, poles,
-        _is_straight(loop),
-    )  # fmt: skip
+    rows = falling, np.array(whole), np.array(shifted), np.array(ends)
+    return CurveParts(*rows, *roots, poles, is_straight)
 
 
 def _enough_bits(loop: ScaledLoop) -> AbstractContextManager[None]:
@@ -267,7 +261,7 @@ class _Kept(NamedTuple):
 def root_lines(loop: ScaledLoop) -> list[RootLine]:
     """Return the lines of walls with a root at 1, at -1, and at poles where the plant is real."""
     places = [(0.0, partial(_at_end, loop, 1)), (np.pi, partial(_at_end, loop, -1))]
-    real = (pole for pole in _poles(loop) if _is_real(loop, pole))
+    real = (pole for pole in _poles(loop)[0] if _is_real(loop, pole))
     places += [(float(pole.mid()), partial(_at_pole, loop, pole)) for pole in real]
     lines = []
     for angle, kept in places:
@@ -283,9 +277,10 @@ def root_lines(loop: ScaledLoop) -> list[RootLine]:
 
 
 def _bounds_walls(loop: ScaledLoop, line: RootLine) -> bool:
-    """True if walls beside a line are stable.
+    """True if a wall beside the middle of an interval of a line is stable.
 
-    Where it keeps a second root at 1 or -1, as without kp and ki, those of both sides may leave.
+    A line that keeps a second root at 1 or -1, as that of ki = 0 does where kp is 0, need not bound
+    stable walls: both roots have to move inwards.
     """
     aside = 1e-6  # of an interval
     for low, high in line.line.intervals:
@@ -357,27 +352,21 @@ def _without(part: Factored, divisor: Factored) -> Factored:
 
 
 @lru_cache
-def _poles(loop: ScaledLoop) -> "list[arb]":
-    """The angles where V is real, or the plant if V always is; none if balls do not tell them."""
+def _poles(loop: ScaledLoop) -> "tuple[list[arb], bool]":
+    """The angles where V is real, none if balls do not tell them, and False.
+
+    If V is real on the whole circle, the angles where the plant is, too, and True.
+    """
     with working_precision(FIRST_BITS):
         if real_quotient_angles(*loop.balls().walls) == []:
-            return []
-    is_straight = _is_straight(loop)
+            return [], False
     with working_precision(_LAST_BITS):
+        walls = loop.balls().walls
+        angles = real_quotient_angles(*walls)
+        if angles is not None or not is_real_quotient(*walls):
+            return angles or [], False
         base, acting, _ = loop.triple()
-        pair = (base, acting) if is_straight else loop.balls().walls
-        return real_quotient_angles(*pair) or []
-
-
-@lru_cache
-def _is_straight(loop: ScaledLoop) -> bool:
-    """True if V is real on the whole circle: it is so to the first bits and to the last."""
-
-    def is_real(bits: int) -> bool:
-        with working_precision(bits):
-            return is_real_quotient(*loop.balls().walls)
-
-    return all(map(is_real, (FIRST_BITS, _LAST_BITS)))
+        return real_quotient_angles(base, acting) or [], True
 
 
 def _is_real(loop: ScaledLoop, pole: "arb") -> bool:

@@ -11,9 +11,9 @@ Otherwise another arc begins there, and Newton's method finds the corner of the 
 are joined the boundary consists of closed loops; what stays open has been missed by the angles. At
 such an end the angle of the second pair on the circle tells where the arc that was missed begins.
 
-Straight parts may close without an arc. Where two lines cross, the walls of one of the four angles
-between them are stable at most, for each line moves a root or a pair: so such a loop is convex, and
-bounds a component from outside.
+Straight parts may form a loop without an arc. Where two lines cross, crossing either one moves a
+root or a pair in or out, so the walls in one of the four sectors are stable at most: such a loop is
+convex, and is the outer boundary of a component.
 """
 
 from collections.abc import Iterable, Iterator
@@ -103,10 +103,10 @@ def scan_angles(c: Curve, centers: Centers, *, with_balls: bool = False) -> Angl
 
     Where the other roots are counted in balls, angles come closer to ends that are proved.
     """
-    per_turn, fewest, per_branch = 8, 500, 20  # even angles: of a turn of z^n, and of a branch
-    to_ends = 12  # angles that come closer and closer
     if c.is_straight:
         return np.empty(0)
+    per_turn, fewest, per_branch = 8, 500, 20  # even angles: of a turn of z^n, and of a branch
+    to_ends = 12  # angles that come closer and closer
     to_poles, to_proved = 1e-11, 1e-14 if with_balls else 1e-9  # how close
     count = max(per_turn * c.degree, fewest, per_branch * (len(c.poles) + 1))
     step = np.pi / count
@@ -448,7 +448,7 @@ def find_pieces(c: Curve, angles: Angles, inside: Passes) -> Pieces:
 def _straight_loops(
     stops: list[_Stop], of_stop: dict[int, int], left: set[int]
 ) -> Iterator[list[int]]:
-    """Yield the closed loops of parts that are left: the stops where these begin, anticlockwise."""
+    """Yield closed loops of the parts left: the stops where these begin, counter-clockwise."""
     while left:
         loop, stop = list[int](), max(left)  # not of the lines of z = 1 and -1, which come first
         while stop in left:

@@ -169,7 +169,8 @@ def _angles_beside(lines: _Lines, walls: Points) -> Centers:
 def _angles_of_rays(lines: _Lines) -> Centers | None:
     """Return the angles of roots at the ends of stable intervals of walls from 0; None: not known.
 
-    There are none where no wall of these rays is stable, nor beside one with a single root at 1.
+    There are none where no wall of these rays is stable. Where one root stays at 1 along a ray, the
+    intervals are those of all others; where two do, they tell nothing of the walls beside it.
     """
     slopes = (1.0, 0.1), (1.0, 1.0), (1.0, 10.0), (1.0, -1.0), (0.0, 1.0)
     rays = [lines.along((0.0, 0.0), along) for along in slopes]

@@ -338,13 +338,18 @@ def identify_servo(
     values = found.x * sizes
     mass, damping, late, _ = map(Estimate, values, values - half, values + half)
     noise = _explained(resolution, abs(step)) * float(np.linalg.norm(response))
-    if not resolution and still:  # it shakes before the step, but neither moves nor rests elsewhere
-        spread = 3.0 * float(np.std(measured[: still - still // 4]))
-        noise = max(noise, _ODD * min(_rms(step * errors[:still]), spread))
+    if not resolution and still:
+        noise = max(noise, _ODD * _shaking(measured[:still], step * errors[:still]))
     return _identified(
         [mass, damping, _NONE, _NONE, late.times(period, 0.0)], period, resolution, noise,
         (velocity, nan), "", measured[None], fitted[None],
     )  # fmt: skip
+
+
+def _shaking(still: Rows, errors: Rows) -> float:
+    """The noise of readings before the step: neither motion there, nor a rest that is off."""
+    most = 3.0  # times the spread of the first three quarters of these rows
+    return min(_rms(errors), most * float(np.std(still[: len(still) - len(still) // 4])))
 
 
 def _of_one_error(loop: HapticLoop, gains: tuple[float, float], count: int) -> Rows:
@@ -612,14 +617,7 @@ def read_log(
     table = columns_of(file, [*needed, *[time] * (sample_time is None)], optional)
     columns = {key: np.array(table[name]) for key, name in own.items() if name in table}
     if sample_time is not None:
-        clash = ""
-        with suppress(ValueError):  # there are no times, or no numbers, or stdin was read
-            times = columns_of(file, [time])[time]
-            step = (times[-1] - times[0]) / max(len(times) - 1, 1)
-            if not abs(step - sample_time) <= 0.01 * sample_time:
-                clash = f"column {time} grows by {step:.6g} a row, and --sample-time is "
-                clash += f"{sample_time:g} s, which was taken"
-        return {"sample_time": sample_time, **columns}, clash
+        return {"sample_time": sample_time, **columns}, _clash(file, time, sample_time)
     steps, unequal = np.diff(table[time]), 0.1  # of a sample: the most that a time step may differ
     if not len(steps):
         raise ValueError(f"{file} has {len(table[time])} rows of numbers; give all.")
@@ -632,6 +630,19 @@ def read_log(
             "give a log with equal steps, or --sample-time if no row is missing."
         )
     return {"sample_time": sample_time, **columns}, ""
+
+
+def _clash(file: str, time: str, sample_time: float) -> str:
+    """A warning if the file has a time column with another mean step than the sampling period."""
+    with suppress(ValueError):  # there is none, it has no numbers, or stdin was read
+        times = columns_of(file, [time])[time]
+        step = (times[-1] - times[0]) / max(len(times) - 1, 1)
+        if not abs(step - sample_time) <= 0.01 * sample_time:
+            return (
+                f"column {time} grows by {step:.6g} a row, and --sample-time is {sample_time:g} s, "
+                "which was taken"
+            )
+    return ""
 
 
 def _resolution(positions: Rows) -> float | None:
