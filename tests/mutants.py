@@ -8,10 +8,10 @@ The first command (it needs pytest-cov) records in ``.coverage`` which tests exe
 in ``seconds.xml`` how long they take; several such pairs of files, of parts of the tests, may lie
 in the folder that ``JAXSTAB_MUTANTS`` names (here otherwise); ``JAXSTAB_MUTANTS_ROOMS`` names fewer
 rooms. Of all operators, numbers, booleans and names like ``min`` in the code, without annotations,
-imports and docstrings, a seeded sample is changed, one at a time. The tests that execute the
-changed line run on it, those of the module first and the quickest of these, until one fails. Lines
-that few tests execute, for they run while a module is imported or JAX traces, are tried with all
-tests of their file.
+imports, docstrings and ``strict=`` of zip, which asserts what is so, a seeded sample is changed,
+one at a time. The tests that execute the changed line run on it, those of the module first and the
+quickest of these, until one fails. Lines that few tests execute, for they run while a module is
+imported or JAX traces, are tried with all tests of their file.
 
 No file is changed: beside links to all others lies a copy of jaxstab with the mutant, and its tests
 run there in a new process. A mutant survives if ``_RECORDED`` seconds of tests pass. Processes that
@@ -116,7 +116,7 @@ def mutants(path: Path, rng: random.Random) -> Iterator[Mutant]:
 def _places(node: ast.AST) -> Iterator[tuple[type, Place, Place]]:
     """Kind, begin and end of the places of operators, numbers and names."""
     match node:
-        case ast.Import() | ast.ImportFrom():
+        case ast.Import() | ast.ImportFrom() | ast.keyword(arg="strict"):
             return
         case ast.BinOp(left=left, right=right) | ast.AugAssign(target=left, value=right):
             yield ast.operator, _end(left), _begin(right)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mpmath import mp, mpc, mpf
 
-from jaxstab import Device, Filter, HapticLoop, Velocity
+from jaxstab import Device, Filter, HapticLoop, Velocity, pid
 from jaxstab.exact.boundary import (
     ScaledLoop,
     _has_digits,
@@ -181,6 +181,18 @@ def test_lines_keep_a_root_and_are_stable_where_all_others_are_inside(
             assert moved[0] * moved[1] < 0.0
     if delay == 1.0:
         assert lines[1].start == pytest.approx([-6.0, 0.0])
+
+
+def test_a_line_of_two_roots_at_one_counts_where_gains_beside_it_are_stable() -> None:
+    """Without kp the gains ki = 0 leave two roots at 1; on one side of it both go inside."""
+    plant = HapticLoop(device_mass=0.75, device_damping=2.5, sample_time=1e-3)
+    gains = pid(plant, kp=0.0)
+    question = ScaledLoop(gains._chart, gains._scale)
+    assert [line.angle for line in root_lines(question)] == pytest.approx([0.0, np.pi])
+    triple = curve_parts(question).triple
+    for side in (-1.0, 1.0):
+        roots = np.roots(np.array([1.0, 0.01 * side, 2.0]) @ triple)
+        assert np.all(abs(roots) < 1.0) == (side > 0.0)
 
 
 def test_roots_of_the_plant_are_found_once_however_close_to_one() -> None:

@@ -353,6 +353,15 @@ def test_a_sum_that_touches_0_is_not_called_positive(others: int) -> None:
         assert is_positive(touching) is None
 
 
+def test_each_coefficient_counts_for_a_positive_sum() -> None:
+    """Without its second one this is negative at 0: 1.01 + 0.3 cos - cos 2 - 0.3 cos 3."""
+    cosines = [1.01, 0.3, -1.0, -0.3]
+    angles = np.linspace(0.0, np.pi, 10_001)
+    assert sum(c * np.cos(k * angles) for k, c in enumerate(cosines)).min() > 0.0
+    assert cosines[0] + sum(cosines[2:]) < 0.0
+    assert is_positive([flint.arb(c) for c in cosines])
+
+
 def test_cells_meet_at_their_ends_wherever_these_are_moved_to() -> None:
     cells = _Cells([flint.arb(1)] * 4)
     for number in range(1, cells.count):

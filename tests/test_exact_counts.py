@@ -94,6 +94,7 @@ HELD = HapticLoop(
 STRONG = of_loop(device_damping=2.01, hand_stiffness=501.0, hand_damping=10.1)
 CRITICAL = unit_loop(0.0625**2, 0.125, 0.0, None, None)
 TURN = [0.3, 2.6, 1.1]  # samples
+TWICE = of_loop(device_damping=0.56, hand_stiffness=9.0, velocity=Velocity.low_pass(30.0, order=2))
 EQUAL = of_loop(device_damping=0.55, velocity=Velocity.low_pass(30.0, order=4))
 
 
@@ -145,7 +146,7 @@ CASES: dict[str, tuple[Callable[[], Any], int]] = {
     "ray of a device": (lambda: stable_line(triple_of(HELD), (0.0, 0.0), (1.0, 0.01)), 229),
     "zeros": (turned({7: 1.0}, 0.25), 81),
     "zeros of degree 36": (turned({36: 1.0}, 0.25), 311),
-    "many zeros": (turned({37: 1.0, 3: 0.2}, 0.25), 10_402),
+    "many zeros": (turned({37: 1.0, 3: 0.2}, 0.25), 10_158),
     "zeros that nearly coincide": (turned({5: 1.0}, -1.0 + 2.0**-50), 97),
     "double zeros": (turned({2: 1.0}, 1.0), 7_019),
     "triple zeros": (turned({3: 0.75, 9: 0.25}), 14_273),
@@ -155,36 +156,40 @@ CASES: dict[str, tuple[Callable[[], Any], int]] = {
     "any delay": (lambda: margin_of_delay(STRONG, (5.1, 0.01)), 520),
     "small gain": (lambda: LATE.verdict(1001.0, 11.0, delays=(0.0, 1.1e-3)), 54),
     "jitter": (lambda: FREE.jitter_margin(101.0, 5.3), 2_951),
-    "worst delays": (lambda: LATE.worst_delays(5901.0, 24.0, delays=(0.0, 1.9e-3)), 4_650),
-    "turns": (lambda: is_growing(PeriodicLoop.from_loop(LATE, 4123.0, 13.0), TURN), 76),
-    "passivity": (lambda: is_passive(0.31, 0.12, 0.57, 1.3), 36),
+    "worst delays": (lambda: LATE.worst_delays(5901.0, 24.0, delays=(0.0, 1.9e-3)), 3_669),
+    "turns": (lambda: is_growing(PeriodicLoop.from_loop(LATE, 4123.0, 13.0), TURN), 72),
+    "passivity": (lambda: is_passive(0.31, 0.12, 0.57, 1.3), 35),
     "frequency": (lambda: FILTERED.frequency_margins(301.0, 4.1), 6_988),
     "frequency of a device": (lambda: HELD.frequency_margins(301.0, 1.1), 11_983),
-    "amplitude": (lambda: disturbed_responses(LATE, 812.0, 11.0, (True, True, True)), 291),
+    "amplitude": (lambda: disturbed_responses(LATE, 812.0, 11.0, (True, True, True)), 295),
     "amplitude of poles that coincide": (
         lambda: disturbed_responses(EQUAL, 99.0, 0.0, (True, False, True)),
-        137,
+        138,
+    ),
+    "amplitude of poles that nearly coincide": (
+        lambda: disturbed_responses(TWICE, 0.0, 3e-37, (True, False, False)),
+        228,
     ),
     "amplitude of an unstable wall": (
         lambda: disturbed_responses(LATE, 8125.0, 22.0, (True, False, False)),
-        133,
+        137,
     ),
-    "settling": (lambda: settled_after(FILTERED, 303.0, 4.2, "force", 0.02, 5000), 130),
-    "settling of a device": (lambda: settled_after(HELD, 304.0, 1.2, "impact", 0.02, 5000), 142),
+    "settling": (lambda: settled_after(FILTERED, 303.0, 4.2, "force", 0.02, 5000), 134),
+    "settling of a device": (lambda: settled_after(HELD, 304.0, 1.2, "impact", 0.02, 5000), 146),
     "settling of poles that coincide": (
         lambda: settled_after(CRITICAL, 0.0, 0.0, "force", 0.02, 1000),
         220,
     ),
     "motion of two gains": (
         lambda: motion_settled_after(triple_of(FREE), 305.0, 4.4, 0.01, 5000),
-        153,
+        159,
     ),
-    "rectangle": (lambda: stable_over(triangle, Axis(0.5, 1.24), Axis(0.25, 0.75)), 145),
-    "rectangle of a bent edge": (lambda: stable_over(bent, Axis(1.0, 1.9, 2), Axis(0.5, 0.6)), 292),
-    "rectangle beyond it": (lambda: stable_over(triangle, Axis(0.5, 1.26), Axis(0.25, 0.75)), 96),
+    "rectangle": (lambda: stable_over(triangle, Axis(0.5, 1.24), Axis(0.25, 0.75)), 161),
+    "rectangle of a bent edge": (lambda: stable_over(bent, Axis(1.0, 1.9, 2), Axis(0.5, 0.6)), 320),
+    "rectangle beyond it": (lambda: stable_over(triangle, Axis(0.5, 1.26), Axis(0.25, 0.75)), 109),
     "rectangle of many powers": (
         lambda: stable_over(triangle, Axis(0.5, 1.1, 3), Axis(0.25, 0.75, 2)),
-        496,
+        566,
     ),
     "parts of a curve": (lambda: curve_parts(ScaledLoop(FAR, (1.0, 1.0))), 834),
     "series of a curve": (
@@ -195,7 +200,7 @@ CASES: dict[str, tuple[Callable[[], Any], int]] = {
         lambda: undamped_modes(ScaledLoop(UNDAMPED, (1.0, 1.0)), np.array([0.99 + 0.01j]), 1e9),
         42,
     ),
-    "lines of a root": (lambda: root_lines(ScaledLoop(PEDAL, (1.0, 1.0))), 300),
+    "lines of a root": (lambda: root_lines(ScaledLoop(PEDAL, (1.0, 1.0))), 309),
     "others inside": (
         lambda: others_inside(
             ScaledLoop(FILTERED, (1.0, 1.0)), np.linspace(0.1, 3.0, 7), np.zeros(7)

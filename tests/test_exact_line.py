@@ -19,10 +19,12 @@ from jaxstab.exact.line import (
     LineStatus,
     OnCircle,
     StableLine,
+    _cosines_of,
     _counts,
     _Found,
     _found,
     _Line,
+    is_real_quotient,
     stable_line,
 )
 from jaxstab.model.balls import Factored, Triple, ball_triple
@@ -152,6 +154,42 @@ def test_the_slope_of_a_polynomial_on_the_circle_is_bounded_by_no_more_than_it_m
     values = OnCircle.of(Factored(flint.arb_poly([5.0, 1.0, 0.5, 0.25])))
     assert float(values.slope) == pytest.approx(1.0 + 2.0 * 0.5 + 3.0 * 0.25, rel=1e-9)
     assert len(OnCircle.of(Factored(flint.arb_poly([1] * 33))).blocks) == 2
+
+
+@pytest.mark.parametrize(("at_one", "windows"), [(0, ()), (1, ()), (0, (2,)), (1, (4,)), (2, (3,))])
+def test_the_cosine_sum_is_the_imaginary_part_divided_by_what_is_known(
+    at_one: int, windows: tuple[int, ...]
+) -> None:
+    """Its zeros are those of Im(p0 conj q) where sin and cos of theta/2 and windows have none."""
+    p0 = Factored(flint.arb_poly([0.3, -1.1, 0.7, 2.0]), 0, at_one)
+    q = Factored(flint.arb_poly([1.0, 0.25]), 1, 0, 0, windows)
+    angles = np.linspace(0.05, 3.1, 62)
+    values = np.array([_imaginary(p0, q, angle) for angle in angles])
+    sums = [float(c.mid()) for c in _cosines_of(p0, q)]
+    found = np.cos(np.outer(angles, np.arange(len(sums)))) @ sums
+    known = np.ones_like(angles) * np.sin(angles / 2) ** at_one
+    for n in windows:
+        known = known * np.sin(n * angles / 2) / np.sin(angles / 2)
+    rest = values / (known * found)
+    fits = [rest / (np.sin(angles / 2) ** a * np.cos(angles / 2) ** b) for a, b in _POWERS]
+    assert min(np.ptp(fit) / abs(fit).max() for fit in fits) < 1e-10
+    assert is_real_quotient(p0, p0.scaled(2.0))
+    assert not is_real_quotient(p0, q)
+
+
+_POWERS = [(a, b) for a in (0, 1) for b in (0, 1)]
+
+
+def _imaginary(p0: Factored, q: Factored, angle: float) -> float:
+    z = flint.acb(0, angle).exp()
+    value = p0.polynomial()(z) * q.polynomial()(z).conjugate()
+    return float(value.imag.mid())
+
+
+def test_a_part_of_a_cosine_sum_that_is_not_0_is_no_real_quotient() -> None:
+    """Im(conj(z^2)) = -2 sin(theta) cos(theta): nothing, and a part of cos(theta)."""
+    parts = [Factored(flint.arb_poly(rising)) for rising in ([1.0], [0.0, 0.0, 1.0])]
+    assert not is_real_quotient(*parts)
 
 
 def test_a_ray_is_stable_to_infinity() -> None:

@@ -149,6 +149,27 @@ def test_an_impact_does_not_move_the_actuator() -> None:
     np.testing.assert_allclose(moved / moved[1], truth / truth[1], rtol=1e-9, atol=1e-9)
 
 
+def test_a_force_arrives_a_sample_before_it_acts_and_brings_back() -> None:
+    """Of an error of the position, of the force, and of friction: position 1, and velocity 1."""
+    found = disturbed_responses(unit_loop(0.0, 0.1, 1.0, None, None), 0.01, 0.1, (True,) * 3)
+    assert found is not None
+    acting, arriving = found.head[:, 2], found.head[:, 3]
+    np.testing.assert_array_equal(acting[:, 1:], arriving[:, :-1])
+    moved = -math.expm1(-0.1) / 0.1  # in a sample, by the velocity
+    first = [-0.11, 1.0, -0.11, 0.0], [0.1, 0.0, 0.0, -0.11 * moved]  # a wall of 0.01 and 0.1
+    np.testing.assert_allclose(arriving[:, 1], first[0], rtol=1e-15)
+    np.testing.assert_allclose(arriving[[0, 3], 2], [first[1][0], first[1][3]], rtol=1e-15)
+
+
+@pytest.mark.parametrize("excitation", ["force", "impact"])
+def test_a_wall_that_settles_at_the_horizon_has_settled(excitation: str) -> None:
+    loop = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3, delay=1e-3)
+    settled = settled_after(loop, 1000.0, 20.0, excitation, 0.02, 1000)
+    for horizon, expected in ((settled, settled), (settled - 1, math.nan)):
+        found = settled_after(loop, 1000.0, 20.0, excitation, 0.02, int(horizon))
+        assert found == pytest.approx(expected, nan_ok=True)
+
+
 def test_what_is_not_stable_or_no_number_has_no_sums() -> None:
     loop = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
     for wall, settled in (((1e6, 20.0), math.inf), ((0.0, 10.0), math.inf)):
@@ -200,7 +221,8 @@ def test_millions_of_products_are_wrong_by_less_than_is_said(gap: float) -> None
     values, wrong = modes_of([Fraction(pole)]).values(1 << 20)
     with mp.workdps(40):
         error = abs(float(values[-1]) - mpf(pole) ** (len(values) - 1))
-        assert values[-1] * 2.0**-48 < error <= wrong[-1] < values[-1] * 2.0**-39
+        assert values[-1] * 2.0**-48 < error <= wrong[-1]
+    assert 2.0**-40 < wrong[-1] / values[-1] < 2.0**-39.9  # 4 units for each of 2048 powers
 
 
 def test_sums_of_many_small_terms_are_no_less_than_those_of_fractions() -> None:

@@ -118,3 +118,13 @@ def test_a_range_as_narrow_as_rounding_is_proved() -> None:
 
     a, b = Axis(1.0, float(np.nextafter(1.0, 2.0)), 3), Axis(0.5, 0.5)
     assert stable_over(p, a, b) == Verdict.STABLE
+
+
+@pytest.mark.parametrize(("degree", "expected"), [(61, Verdict.STABLE), (63, Verdict.UNDECIDED)])
+def test_a_polynomial_that_takes_too_long_is_left_open(degree: int, expected: Verdict) -> None:
+    """z^n + a/10: half of the work is for values, half for coefficients on the axis."""
+
+    def p(a: float, _: float) -> Factored:
+        return Factored(arb_poly([arb(a) / 10, *[0] * (degree - 1), 1]))
+
+    assert stable_over(p, Axis(0.5, 1.0, 2), Axis(1.0, 1.0)) == expected

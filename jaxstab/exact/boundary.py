@@ -269,8 +269,8 @@ def root_lines(loop: ScaledLoop) -> list[RootLine]:
         if ends:
             line = stable_pencil(partial(_divided, loop, kept))
             start, along = (np.array([float(arb.mid()) for arb in pair]) for pair in ends)
-            turn = decided(partial(_turn, loop, kept)) if 0.0 < angle < np.pi else nan
-            own = RootLine(angle, start + 0.0, along, line, nan if turn is None else turn)
+            turn = decided(partial(_turn, loop, kept))
+            own = RootLine(angle, start, along, line, nan if turn is None else turn)
             if not line.drift or _bounds_walls(loop, own):
                 lines.append(own)
     return lines

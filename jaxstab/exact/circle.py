@@ -131,7 +131,7 @@ def _guesses(cosines: "list[arb]") -> list[float]:
     c, order = np.array([float((x / largest).mid()) for x in cosines]), np.arange(degree + 1.0)
     cells = 16 * degree
     values = np.fft.rfft(c, 2 * cells).real
-    places = 2.0 * np.cos(np.pi / cells * np.arange(cells + 1))
+    places = 2.0 * np.cos(np.linspace(0.0, np.pi, cells + 1))
     cell = np.flatnonzero(np.diff(values < 0.0))
     share = values[cell] / (values[cell] - values[cell + 1])
     x = places[cell] + share * np.diff(places)[cell]
@@ -357,8 +357,8 @@ def _refined(part: _Part, a: "arb", b: "arb", sign_b: int) -> Zero | None:
         new = (x - f / slope.value(x)).mid()
         if not low <= new <= high:
             new = ((low + high) / 2).mid()
-        step, x = abs(new - x).mid(), new
-        if not sign or step <= smallest:
+        x = new
+        if not sign:
             break
     f = part.value(x) + part.missed
     radius = max(4 * (f / slope.value(x)).abs_upper(), smallest)

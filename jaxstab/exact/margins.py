@@ -153,9 +153,7 @@ def _crossovers(below: Factored, above: Factored) -> tuple[Reading, Reading] | N
     circle, pi = (OnCircle.of(above), OnCircle.of(below)), arb.pi()
     for angle, slope in found:
         upper, lower = (side.at(angle) for side in circle)
-        if lower.contains(0):
-            return None
-        value = upper / lower
+        value = upper / lower  # NaN, which contains 0, where D may be 0
         if value.imag.contains(0) and not value.real > 0:
             return None
         lag = pi + value.arg()

@@ -44,6 +44,7 @@ from jaxstab.rounding import EPS, UNDERFLOW, UNIT
 _MOST_POWERS = 100_000  # terms where poles coincide
 _BLOCK = 1_000_000  # numbers that are evaluated at once
 _NARROW = 1e-24  # of the largest term: balls of all terms of a quotient
+_NOTHING = 1e-30  # of a sum: far less than a rounding
 _UP = 1.0 + 1e-15  # for a number that was rounded to float64, or the sum of a few
 
 Causes = tuple[bool, bool, bool]  # errors of the read position, errors of the force, and friction
@@ -72,7 +73,7 @@ class Modes(NamedTuple):
         far = np.array([complex(ball**width) for ball, _ in self.balls])
         with np.errstate(under="ignore"):
             near, late = _powers(self.poles, width), _powers(far, count)
-        return near, late, UNIT * (4 * (width + count) + 2 * len(far) + 16)
+        return near, late, 4 * UNIT * (width + count + len(far) + 4)
 
     def terms_above(self, limit: float, most: int) -> int:
         """The terms of the first response before its bound falls to a limit, or most + 1."""
@@ -119,10 +120,10 @@ class Responses(NamedTuple):
         most_terms = 4_000_000  # that are summed; what comes later is bounded
         nothing = 1e-12  # a share of a response that is not looked at
         large_rows, large_columns = (
-            np.abs(side) + 1e-30 * np.abs(side).max(initial=0.0) for side in (rows, columns)
+            np.abs(side) + _NOTHING * np.abs(side).max(initial=0.0) for side in (rows, columns)
         )
         inputs, series, summed = self.head.shape
-        rounding = UNIT * (inputs + series + 8)
+        rounding = UNIT * (inputs + series + 9)  # and the terms that are left out
         values = np.abs(_mixed(rows, columns, self.head))
         total = values.sum(axis=-1) + self.growth * values[..., self.late :].sum(axis=-1)
         sizes = np.abs(self.head).sum(axis=-1, keepdims=True) * (1.0 + self.growth)
@@ -130,17 +131,17 @@ class Responses(NamedTuple):
         modes = self.modes
         if modes is not None and len(modes.poles):
             terms = min(ceil(log(nothing) / log(min(modes.moduli.max(), 1.0 - UNIT))), most_terms)
-            near, late, error = modes.powers(max(terms, 2))
+            near, late, error = modes.powers(terms)
             terms = near.shape[1] * late.shape[1]
             residues = _mixed(rows, columns, modes.residues)
             step = max(1, _BLOCK // (near.shape[1] * residues[..., 0].size))
             for begin in range(0, late.shape[1], step):
-                slow = np.abs(late[:, begin]) > 1e-30  # the others count as errors
+                slow = np.abs(late[:, begin]) > _NOTHING
                 first = residues[:, :, None, slow] * late[slow, begin : begin + step].T
                 first = np.concatenate([first.real, -first.imag], axis=-1)
                 later = first @ np.concatenate([near[slow].real, near[slow].imag])
                 total += np.abs(later, out=later).sum(axis=(2, 3))
-            wrong = (error + rounding + 2e-30) * modes.sizes + modes.errors
+            wrong = (error + rounding) * modes.sizes + modes.errors
             wrong = _mixed(large_rows, large_columns, wrong)
             tail = (np.abs(residues) + wrong) * modes.moduli**terms
             total += ((wrong + tail) / modes.gaps).sum(axis=-1)
@@ -275,7 +276,7 @@ class _Wall(NamedTuple):
         moduli, gaps, balls = list[float](), list[float](), list[list[list[acb]]]()
         for root, is_real in chosen:
             gap = 1 - abs(root)
-            if not gap > 0 or not (abs(root) < 1e-40 or is_sharp(root)):
+            if not (is_sharp(gap) and (abs(root) < 1e-40 or is_sharp(root))):
                 return None
             moduli.append(_above(root))
             gaps.append(float(gap.lower()) / _UP)

@@ -258,7 +258,7 @@ def _clearance(p: Factored) -> "arb | None":
     """c, or a negative number if a root is outside; None where the balls do not tell."""
     rising = p.polynomial().coeffs()
     clear = rising[-1] ** len(rising)
-    if not rising[-1] > 0:
+    if sign_of(rising[-1]) != 1:
         return None
     for j, k in zip(range(len(rising) - 1, 0, -1), reflections(rising), strict=True):
         if not abs(k) < 1:
@@ -316,7 +316,7 @@ class Number(NamedTuple):
 
 def sign_of(ball: "arb") -> int:
     """1 or -1 where all of a ball has that sign, else 0."""
-    return (1 if ball > 0 else 0) - (1 if ball < 0 else 0)
+    return int(ball.sgn().unique_fmpz() or 0)
 
 
 def is_sharp(ball: "arb | acb") -> bool:

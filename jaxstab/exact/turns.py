@@ -16,7 +16,8 @@ searches, and in balls, for proofs.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial, reduce
-from math import ceil, isfinite
+from itertools import count, takewhile
+from math import isfinite
 
 import numpy as np
 
@@ -39,16 +40,14 @@ Segments = tuple[tuple[int, float, float], ...]
 def segments_of(delays: Delays) -> list[Segments]:
     """The forces that act in each sample of a turn; ValueError if all samples are lost."""
     period = len(delays)
-    finite = [delay for delay in delays if isfinite(delay)]
-    if not finite:
+    if not any(map(isfinite, delays)):
         raise ValueError("every sample is lost; give at least one delay that is finite.")
-    oldest = period + ceil(max(finite))
     turns = []
     for k in range(period):
-        arrivals = [delays[(k - age) % period] - age for age in range(oldest + 1)]
-        acting = next(age for age, time in enumerate(arrivals) if time <= 0.0)
-        start, segments = 0.0, []
-        newer = sorted((time, age) for age, time in enumerate(arrivals[:acting]) if time < 1.0)
+        arrivals = (delays[(k - age) % period] - age for age in count())
+        late = list(takewhile(lambda time: time > 0.0, arrivals))  # at the begin of the sample
+        acting, start, segments = len(late), 0.0, []
+        newer = sorted((time, age) for age, time in enumerate(late) if time < 1.0)
         for time, age in newer:
             if age < acting:
                 if time > start:
