@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks import measured, measured_page, record
+from jaxstab import HapticLoop
 
 DEGREES = 180.0 / np.pi
 T = 350e-6
@@ -118,3 +119,24 @@ def test_linear_limits_agree_with_eigenvalues_of_the_firmware_turn_by_turn(
         wall = share * limit * DEGREES, damping * DEGREES
         turn = np.array([next_state(state, row, wall) for state in states]).T
         assert (np.abs(np.linalg.eigvals(turn)).max() < 1.0) == is_stable
+
+
+def test_a_double_integrator_has_the_ratios_of_the_page() -> None:
+    def limits(delays: tuple[float, ...], damping: float | None = None) -> list[float]:
+        found = []
+        for delay in delays:
+            loop = HapticLoop(
+                device_mass=1.0, device_damping=0.0, sample_time=5e-3, delay=delay * 5e-3
+            )
+            if damping is None:
+                best = loop.region().stiffest
+                assert best is not None
+                found.append(best.stiffness)
+            else:
+                found.append(float(loop.stiffness_limits(damping)[1]))
+        return [stiffness / found[-1] for stiffness in found]
+
+    best, small = limits((0.5, 1.5, 2.5)), limits((0.0, 1.0, 2.5), 1e-3)
+    assert "5.85 : 1.99 : 1" in PAGE
+    assert best == pytest.approx([5.85, 1.99, 1.0], abs=5e-3)
+    assert small == pytest.approx([6.0, 2.0, 1.0], rel=1e-3)
