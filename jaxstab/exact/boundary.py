@@ -24,7 +24,7 @@ from jaxtyping import Bool, Complex128, Float64
 
 from jaxstab.conventions import Verdict
 from jaxstab.exact.line import StableLine, is_real_quotient, real_quotient_angles, stable_pencil
-from jaxstab.exact.roots import roots_outside, wall_verdict
+from jaxstab.exact.roots import are_inside, wall_verdict
 from jaxstab.model import LoopParameters
 from jaxstab.model.affine import AffineParts, affine_triple
 from jaxstab.model.balls import BallLoop, Factored, Triple, ball_loop
@@ -399,5 +399,5 @@ def _is_inside(loop: ScaledLoop, angle: float, low: float) -> tuple[bool, int] |
         return None
     alpha, beta = (r.conjugate() * p).imag / det, -(s.conjugate() * p).imag / det
     pair = arb_poly([1, -2 * theta.cos(), 1])
-    outside = roots_outside((base + stiffness * alpha + damping * beta) // pair, most=0)
-    return None if outside is None else (outside == 0, ctx.prec)
+    answer = are_inside(Factored((base + stiffness * alpha + damping * beta) // pair))
+    return None if answer is None else (answer, ctx.prec)

@@ -116,10 +116,10 @@ def wall_verdict(
             p = p._replace(at_one=0)
         if p.is_on_circle:
             return WallVerdict(Verdict.UNSTABLE, VerdictStatus.ON_CIRCLE)
-        outside = roots_outside(p.rest, most=0)
-        if outside is None:
+        is_stable = are_inside(p)
+        if is_stable is None:
             return None
-        return WallVerdict(Verdict.UNSTABLE if outside else Verdict.STABLE, VerdictStatus.PROVED)
+        return WallVerdict(Verdict.STABLE if is_stable else Verdict.UNSTABLE, VerdictStatus.PROVED)
 
     answer = decided(judged)
     return answer or WallVerdict(Verdict.UNDECIDED, VerdictStatus.UNDECIDED)
@@ -441,10 +441,10 @@ def _radius_between(p: Factored | None) -> Number | None:
     high = 1 + sum((abs(c / rising[-1]) for c in rising[:-1]), flint.arb(0)).upper()
     for _ in range(flint.ctx.prec):
         middle = (low + (high - low) * share).mid()
-        outside = roots_outside(rest(flint.arb_poly([0, middle])), most=0)
-        if outside is None:
+        is_within = are_inside(Factored(rest(flint.arb_poly([0, middle]))))
+        if is_within is None:
             return None
-        low, high = (middle, high) if outside else (low, middle)
+        low, high = (low, middle) if is_within else (middle, high)
         radius = low.union(high)
         if is_sharp(radius):
             break

@@ -21,8 +21,8 @@ from math import isfinite
 
 import numpy as np
 
-from jaxstab.exact.roots import roots_outside
-from jaxstab.model.balls import ball_loop
+from jaxstab.exact.roots import are_inside
+from jaxstab.model.balls import Factored, ball_loop
 from jaxstab.model.device.device import Device
 from jaxstab.model.device.parts import exact, flint, working_precision
 from jaxstab.model.device.sampling import one_sample, states_and_force
@@ -125,7 +125,7 @@ def is_growing(loop: PeriodicLoop, delays: Delays) -> bool:
     with working_precision(_BITS):
         steps = [flint.arb_mat(step.tolist()) for step in loop.steps(delays)]
         turn = reduce(lambda total, step: step * total, steps)
-        return bool(roots_outside(turn.charpoly(), most=0))
+        return are_inside(Factored(turn.charpoly())) is False
 
 
 @lru_cache

@@ -32,7 +32,7 @@ from jaxstab.arrays import Array, is_any_jax, is_any_traced, leaves, namespace, 
 from jaxstab.batches import ahead, alike, in_float64
 from jaxstab.conventions import Verdict
 from jaxstab.exact import TripleAt
-from jaxstab.exact.roots import roots_outside
+from jaxstab.exact.roots import are_inside
 from jaxstab.loop.affine import GainLimits, Loop
 from jaxstab.model import LoopParameters, require_x64
 from jaxstab.model.affine import AdmittanceParts, affine_triple
@@ -806,8 +806,7 @@ def _are_unstable(rests: list[Any]) -> Bool[np.ndarray, " loop"]:
     is_outside = codes == Verdict.UNSTABLE
     for k in np.flatnonzero(codes == Verdict.UNDECIDED).tolist():
         with working_precision(FIRST_BITS):
-            around = Factored(rests[k]).of_radius(radius).rest
-            is_outside[k] = bool(roots_outside(around, most=0))
+            is_outside[k] = are_inside(Factored(rests[k]).of_radius(radius)) is False
     return is_outside
 
 
