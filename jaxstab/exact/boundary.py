@@ -65,7 +65,7 @@ class ScaledLoop(NamedTuple):
         return z, parts, (parts[2] if parts[1].contains(0) else parts[1]).conjugate()
 
 
-_LAST_BITS = 768  # a plant that is real to that precision is real
+_LAST_BITS = FIRST_BITS << 2  # a plant that is real to that precision is real
 
 
 class CurveParts(NamedTuple):

@@ -46,14 +46,14 @@ from itertools import cycle, pairwise
 from typing import NamedTuple
 
 import numpy as np
-from flint import acb, arb, arb_mat, arb_poly, fmpq
+from flint import acb, arb, arb_mat, arb_poly, ctx, fmpq
 
 from jaxstab.exact.roots import real_roots, sign_of
-from jaxstab.model.device.parts import remembered, tiny
+from jaxstab.model.device.parts import FIRST_BITS, remembered, tiny
 
 _OVERLAP = 9  # a cell reaches to 9/8 of its share: the ends of shares may be moved by 1/8
 _MOST_DERIVATIVES = 5  # zeros of one order less are found at once
-PATIENT = 512  # bits from which on places without a direction are taken as they are
+_PATIENT = FIRST_BITS << 2  # bits from which on places without a direction are taken as they are
 
 
 class Zero(NamedTuple):
@@ -69,7 +69,7 @@ class Zero(NamedTuple):
 def zeros(cosines: "list[arb]", *, is_last_try: bool) -> list[Zero] | None:
     """All zeros in (0, pi), from left to right; None where more bits are needed.
 
-    ``is_last_try`` has places without a direction reported: mostly from ``PATIENT`` bits on.
+    ``is_last_try`` has places without a direction reported: see ``is_patient``.
     """
     most_for_powers = 36  # degree: above, 192 bits are too few for Sturm's chain
     if all(c.contains(0) for c in cosines[1:]):  # a constant, as far as the balls tell
@@ -79,6 +79,11 @@ def zeros(cosines: "list[arb]", *, is_last_try: bool) -> list[Zero] | None:
         if found is not None:
             return found
     return _by_cells(cosines, is_last_try=is_last_try)
+
+
+def is_patient() -> bool:
+    """True if places without a direction are taken as they are at the precision that is set."""
+    return ctx.prec >= _PATIENT
 
 
 def is_positive(cosines: "list[arb]") -> bool | None:

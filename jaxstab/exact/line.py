@@ -46,7 +46,7 @@ from typing import NamedTuple
 from flint import acb, acb_poly, arb, arb_poly, ctx
 
 from jaxstab.conventions import MEASURED, Status
-from jaxstab.exact.circle import PATIENT, zeros
+from jaxstab.exact.circle import is_patient, zeros
 from jaxstab.exact.roots import Number, TripleAt, is_sharp, roots_outside, sign_of
 from jaxstab.model.balls import Factored
 from jaxstab.model.device.parts import FIRST_BITS, decided, remembered
@@ -233,15 +233,14 @@ class _Found(NamedTuple):
 def _found(line: _Line) -> _Found | None:
     """The crossings, each as accurate as a float64; None for more bits."""
     nothing = 1e-30  # of the largest end: an error that small is none
-    is_last_try = ctx.prec >= PATIENT
-    found = _crossings(line, is_last_try=is_last_try)
+    found = _crossings(line)
     if found is None:
         return None
     crossings = _joined(found[0])
     scale = max((crossing.t.abs_upper() for crossing in crossings), default=arb(0), key=float)
     for t, *_ in crossings:
         is_known = is_sharp(t) or t.rad() < scale * nothing
-        if not (is_known or is_last_try):
+        if not (is_known or is_patient()):
             return None
     between = _between(crossings)
     return None if between is None else _Found(crossings, between, found[1], line.drift, ctx.prec)
@@ -255,7 +254,7 @@ def _end(crossing: Crossing) -> End:
 
 def real_quotient_angles(p0: Factored, q: Factored) -> "list[arb] | None":
     """The angles in (0, pi) where q/p0 is real, 0 or infinite, in order; None for more bits."""
-    places = zeros(_cosines_of(p0, q), is_last_try=ctx.prec >= PATIENT)
+    places = zeros(_cosines_of(p0, q), is_last_try=is_patient())
     if places is None:
         return None
     windows = {Fraction(2 * j, n) for n in p0.windows + q.windows for j in range(1, (n + 1) // 2)}
@@ -270,13 +269,13 @@ def is_real_quotient(p0: Factored, q: Factored) -> bool:
 
 
 # --------------------------------------------------------------------------------------- crossings
-def _crossings(line: _Line, *, is_last_try: bool) -> tuple[list[Crossing], float] | None:
+def _crossings(line: _Line) -> tuple[list[Crossing], float] | None:
     """All crossings, in any order, and how far out the line was looked at; None for more bits."""
     p0, q, _ = line
     if p0.is_zero or q.is_zero:  # no t moves a root; t = 0 may leave nothing of p
         return [Crossing(arb(0), arb("nan"), None)] * p0.is_zero, inf
     turn = p0.at_one - q.at_one
-    places = zeros(_cosines_of(p0, q), is_last_try=is_last_try)
+    places = zeros(_cosines_of(p0, q), is_last_try=is_patient())
     if places is None:
         return None
     above, below = OnCircle.of(p0), OnCircle.of(q)

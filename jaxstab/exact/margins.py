@@ -62,11 +62,11 @@ from operator import add
 from typing import Any, NamedTuple
 
 import numpy as np
-from flint import acb, acb_poly, arb, arb_mat, arb_poly, ctx
+from flint import acb, acb_poly, arb, arb_mat, arb_poly
 from jaxtyping import Complex128, Float64
 
 from jaxstab.conventions import Status
-from jaxstab.exact.circle import PATIENT, is_positive, zeros
+from jaxstab.exact.circle import is_patient, is_positive, zeros
 from jaxstab.exact.line import OnCircle, real_quotient_angles, stable_pencil
 from jaxstab.exact.roots import Number, are_inside, is_sharp
 from jaxstab.model.balls import BallLoop, Factored
@@ -146,7 +146,7 @@ class _Place(NamedTuple):
 def _crossovers(below: Factored, above: Factored) -> tuple[Reading, Reading] | None:
     """The phase margin, and the delay margin in whole samples; None for more bits."""
     sums = arb_poly(squared(above)) - arb_poly(squared(below))
-    found = zeros([sums[0], *(2 * c for c in sums.coeffs()[1:])], is_last_try=ctx.prec >= PATIENT)
+    found = zeros([sums[0], *(2 * c for c in sums.coeffs()[1:])], is_last_try=is_patient())
     if found is None:
         return None
     phases, delays = list[_Place](), list[_Place]()

@@ -72,6 +72,8 @@ if TYPE_CHECKING:
     from flint import acb, arb, arb_mat, arb_poly, fmpq_poly
 
 
+MOST_FOR_ROOTS = FIRST_BITS << 3  # bits: balls that still overlap hold multiple roots, in practice
+
 TripleAt = Callable[[], Triple]
 """Gives the parts of p(z) in balls of the precision that is set, as ``ball_triple(loop)``."""
 
@@ -176,7 +178,6 @@ def _counted(rising: "list[arb]", most: int | None) -> int | None:
 
 
 # --------------------------------------------------------------------------------------- rectangles
-_MOST_BITS = 1024
 _MOST_PIECES = 1000  # of the rectangle
 _MOST_WORK = 4_000_000  # products of balls: seconds
 
@@ -240,8 +241,8 @@ def stable_over(p: Callable[[float, float], Factored], first: Axis, second: Axis
             return Verdict.UNDECIDED
         for pair in product(*nodes):
             value = _clearance(p(*pair))
-            if value is None or value < 0:
-                return None if value is None else Verdict.UNSTABLE
+            if value is None or isinstance(value, Verdict):
+                return value
             values.append(value)
         try:
             left, right = first.to_bernstein(nodes[0]), second.to_bernstein(nodes[1])
@@ -249,27 +250,27 @@ def stable_over(p: Callable[[float, float], Factored], first: Axis, second: Axis
             return None
         return _sign(left * flint.arb_mat(*counts, values) * right.transpose())
 
-    code = decided(judged, most=_MOST_BITS) or Verdict.UNDECIDED
+    code = decided(judged, most=MOST_FOR_ROOTS) or Verdict.UNDECIDED
     is_wider = first.is_narrow or second.is_narrow
     return Verdict.UNDECIDED if is_wider and code == Verdict.UNSTABLE else code
 
 
-def _clearance(p: Factored) -> "arb | None":
-    """c, or a negative number if a root is outside; None where the balls do not tell."""
+def _clearance(p: Factored) -> "arb | Verdict | None":
+    """c, or UNSTABLE if a root is outside; None where the balls do not tell."""
     rising = p.polynomial().coeffs()
     clear = rising[-1] ** len(rising)
     if sign_of(rising[-1]) != 1:
         return None
     for j, k in zip(range(len(rising) - 1, 0, -1), reflections(rising), strict=True):
         if not abs(k) < 1:
-            return flint.arb(-1) if abs(k) > 1 else None
+            return Verdict.UNSTABLE if abs(k) > 1 else None
         clear *= (1 - k * k) ** ((j + 1) // 2) * (1 if j % 2 else 1 + k)
     return clear
 
 
 def _sign(coefficients: "arb_mat") -> Verdict | None:
     """The verdict by Bernstein coefficients of c on a rectangle; None where balls do not tell."""
-    pieces, axis = [(coefficients, 0)], 0
+    pieces = [(coefficients, 0)]
     halving = [_halves(n) for n in (coefficients.nrows(), coefficients.ncols())]
     for _ in range(_MOST_PIECES):
         if not pieces:
@@ -281,7 +282,7 @@ def _sign(coefficients: "arb_mat") -> Verdict | None:
         corners = [piece[i, j] for i in {0, rows} for j in {0, columns}]
         if any(c < 0 for c in corners):
             return Verdict.UNSTABLE
-        if not all(c > 0 for c in corners) or not rows + columns:
+        if not all(c > 0 for c in corners):
             return None
         axis = axis if (rows, columns)[axis] else 1 - axis
         halves = [half * piece if axis == 0 else piece * half.transpose() for half in halving[axis]]
@@ -297,7 +298,6 @@ def _halves(count: int) -> "list[arb_mat]":
 
 
 # -------------------------------------------------------------------------------------------- poles
-MOST_FOR_ROOTS = 1024  # bits: balls that still overlap then hold multiple roots, in practice
 
 
 class Number(NamedTuple):
@@ -327,7 +327,7 @@ def is_sharp(ball: "arb | acb") -> bool:
 class Poles(NamedTuple):
     """The poles of a wall, the largest first, pairs together, and a bound of the error of each.
 
-    Where some coincide, up to 1,024 bits, they are not told apart: the poles are NaN and the error
+    Where some coincide, up to 1,536 bits, they are not told apart: the poles are NaN and the error
     is infinite.
     """
 
