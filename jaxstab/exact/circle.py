@@ -360,7 +360,7 @@ def _refined(part: _Part, a: "arb", b: "arb", sign_b: int) -> Zero | None:
         elif sign:
             low = x
         new = (x - f / slope.value(x)).mid()
-        if not low <= new <= high:
+        if not low.union(high).contains(new):
             new = ((low + high) / 2).mid()
         x = new
         if not sign:

@@ -279,10 +279,10 @@ def _sign(coefficients: "arb_mat") -> Verdict | None:
         if all(c > 0 for c in piece.entries()):
             continue
         rows, columns = piece.nrows() - 1, piece.ncols() - 1
-        corners = [piece[i, j] for i in {0, rows} for j in {0, columns}]
-        if any(c < 0 for c in corners):
+        corners = {sign_of(piece[i, j]) for i in {0, rows} for j in {0, columns}}
+        if -1 in corners:
             return Verdict.UNSTABLE
-        if not all(c > 0 for c in corners):
+        if 0 in corners:
             return None
         axis = axis if (rows, columns)[axis] else 1 - axis
         halves = [half * piece if axis == 0 else piece * half.transpose() for half in halving[axis]]
