@@ -39,7 +39,7 @@ settings.load_profile("reproducible")
 
 _DEGREES, _ONE_DEGREE = many._DEGREES, (41,)  # up to which p(z) of many loops are filled
 _STATUS = Path("/proc/self/statm")
-_forget_at = 5 << 27  # bytes of a process, from which on it forgets what it has compiled
+_forget_at = 17 << 25  # bytes of a process, from which on it forgets what it has compiled
 
 
 def pytest_configure(config: pytest.Config) -> None:
