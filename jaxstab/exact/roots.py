@@ -381,8 +381,6 @@ def isolated_roots(p: Factored | None) -> "list[acb] | None":
     p = p.without_windows()
     known = [flint.acb(0)] * p.power
     known += [flint.acb(1)] * p.at_one + [flint.acb(-1)] * p.at_minus_one
-    if p.rest.degree() < 1:
-        return known
     found = _isolated(p.rest)
     return None if found is None else known + found
 
