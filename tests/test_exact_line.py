@@ -260,6 +260,13 @@ def test_polynomials_that_are_their_own_mirror_are_undecided() -> None:
     assert line[:5] == ((), (), 0, 0.0, LineStatus.UNDECIDED)  # complete nowhere
 
 
+def test_a_wall_at_infinity_is_farther_out_than_any_that_was_looked_for() -> None:
+    """q has a pair on the circle at cos(theta) = 1/4: there no t has a root, however large."""
+    line = of_polynomials([0.125, 0.0, 1.0, 0.0, 1.0], [1.0, -0.5, 1.0])
+    assert line.status == LineStatus.PROVED
+    assert 1e30 < line.horizon < np.inf
+
+
 def test_real_roots_cross_the_circle_at_its_ends() -> None:
     """z - 1/2 + t."""
     crossings = of_polynomials([-0.5, 1.0], [1.0]).crossings

@@ -178,6 +178,14 @@ def test_a_loop_above_1_at_half_the_sampling_rate_has_at_most_a_sample_of_delay(
     assert error < 1e-15
 
 
+def test_a_loop_that_is_1_at_no_frequency_has_any_margin_of_the_delay() -> None:
+    """L = 1/(2 z - 1) is 1 at z = 1 and smaller anywhere else: no delay makes it -1."""
+    sides = Factored(flint.arb_poly([-0.5, 1])), Factored(flint.arb_poly([0.5]))
+    value, _, angle = readings(lambda: sides).delay
+    assert value > 1e30
+    assert angle < 1e-30
+
+
 def test_a_lead_that_makes_the_loop_unstable_is_the_phase_margin() -> None:
     """L = -a/(z + 1/2), a = 1.2: |L| is 1 at cos(theta) = a^2 - 5/4; L is -1 by arg(z + 1/2)."""
     loop = Loop.from_coefficients(base=[1.0, 0.5], first=[1.0], second=[1.0, 0.0], sample_time=1.0)

@@ -120,6 +120,17 @@ def test_a_range_as_narrow_as_rounding_is_proved() -> None:
     assert stable_over(p, a, b) == Verdict.STABLE
 
 
+@pytest.mark.parametrize("is_first", [True, False])
+def test_a_loop_beyond_a_range_as_narrow_as_rounding_says_nothing(is_first: bool) -> None:
+    """z^2 + a z + b is stable for a < 1 + b: nodes stand at up to a millionth beyond a."""
+
+    def p(*pair: float) -> Factored:
+        return Factored(arb_poly([5e-7, pair[0 if is_first else 1], 1]))
+
+    axes = (Axis(1.0, float(np.nextafter(1.0, 2.0)), 3), Axis(0.5, 0.5))[:: 1 if is_first else -1]
+    assert stable_over(p, *axes) == Verdict.UNDECIDED
+
+
 @pytest.mark.parametrize(("degree", "expected"), [(61, Verdict.STABLE), (63, Verdict.UNDECIDED)])
 def test_a_polynomial_that_takes_too_long_is_left_open(degree: int, expected: Verdict) -> None:
     """z^n + a/10: half of the work is for values, half for coefficients on the axis."""

@@ -302,7 +302,7 @@ def _isolated(part: _Part, first: "tuple[arb, int]", last: "tuple[arb, int]") ->
     while intervals:
         (a, sign_a), (b, sign_b) = intervals.pop()
         whole = a.union(b)
-        order, turns = part.on(whole.mid(), whole.rad()), 1
+        order, turns = part.on(whole.mid(), whole.rad()), None
         shortest = tiny(2 * max(order, 2))
         while 1 < order < _MOST_DERIVATIVES:
             bend = part.derivative(order - 1)
@@ -333,7 +333,7 @@ def _around_zero(part: _Part, a: "arb", b: "arb", distance: "arb") -> "list[arb]
     zero = _refined(part, a, b, part.sign(b))
     if zero is None:
         return []
-    places = [(zero.angle + side * distance).mid() for side in (-1, 1)]
+    places = (zero.angle - distance).mid(), (zero.angle + distance).mid()
     return [place for place in places if a < place < b]
 
 

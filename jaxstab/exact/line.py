@@ -237,7 +237,7 @@ def _found(line: _Line) -> _Found | None:
     if found is None:
         return None
     crossings = _joined(found[0])
-    scale = max((crossing.t.abs_upper() for crossing in crossings), default=arb(0), key=float)
+    scale = max((crossing.t.abs_upper() for crossing in crossings), default=arb(), key=float)
     for t, *_ in crossings:
         is_known = is_sharp(t) or t.rad() < scale * nothing
         if not (is_known or is_patient()):

@@ -68,7 +68,7 @@ from jaxtyping import Complex128, Float64
 from jaxstab.conventions import Status
 from jaxstab.exact.circle import is_patient, is_positive, zeros
 from jaxstab.exact.line import OnCircle, real_quotient_angles, stable_pencil
-from jaxstab.exact.roots import Number, are_inside, is_sharp
+from jaxstab.exact.roots import Number, are_inside, is_sharp, sign_of
 from jaxstab.model.balls import BallLoop, Factored
 from jaxstab.model.device.parts import FIRST_BITS, decided, working_precision
 from jaxstab.model.device.sampling import OneSample, states_and_force
@@ -159,7 +159,7 @@ def _crossovers(below: Factored, above: Factored) -> tuple[Reading, Reading] | N
         lag = pi + value.arg()
         phases.append(_Place(lag.min(2 * pi - lag), angle, slope != 0))
         delays.append(_Place(lag / angle if angle > 0 else lag / angle.upper(), angle, slope != 0))
-    if not abs(above.at_end(-1)) < abs(below.at_end(-1)):
+    if sign_of(abs(below.at_end(-1)) - abs(above.at_end(-1))) != 1:
         delays.append(_Place(arb(1), pi))
     phase, delay = _extreme(phases), _extreme(delays)
     return None if phase is None or delay is None else (phase, delay)
