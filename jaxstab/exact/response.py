@@ -30,7 +30,14 @@ import numpy as np
 from flint import acb, arb, arb_mat, arb_poly, arb_series
 from jaxtyping import Complex128, Float64
 
-from jaxstab.exact.roots import TripleAt, are_inside, is_sharp, isolated_roots, real_or_not
+from jaxstab.exact.roots import (
+    TripleAt,
+    are_inside,
+    is_sharp,
+    isolated_roots,
+    real_or_not,
+    sign_of,
+)
 from jaxstab.model.balls import BallLoop, Factored, ball_loop
 from jaxstab.model.device.device import in_steps
 from jaxstab.model.device.discrete import held_steps
@@ -276,7 +283,7 @@ class _Wall(NamedTuple):
         moduli, gaps, balls = list[float](), list[float](), list[list[list[acb]]]()
         for root, is_real in chosen:
             gap = 1 - abs(root)
-            if not (is_sharp(gap) and (abs(root) < 1e-40 or is_sharp(root))):
+            if sign_of(gap) != 1 or not (abs(root) < 1e-40 or is_sharp(root)):
                 return None
             moduli.append(_above(root))
             gaps.append(float(gap.lower()) / _UP)
