@@ -161,6 +161,29 @@ def test_a_force_arrives_a_sample_before_it_acts_and_brings_back() -> None:
     np.testing.assert_allclose(arriving[[0, 3], 2], [first[1][0], first[1][3]], rtol=1e-15)
 
 
+@pytest.mark.parametrize("late_steps", [1, 3, 4, 6])
+def test_forces_arrive_between_the_steps_of_a_simulated_mass(late_steps: int) -> None:
+    """Of four steps a sample; Euler's method step by step, after a force of 1 for a sample."""
+    step, mass, drag, stiffness, damping = 2.5e-4, 0.2, 3.0, 800.0, 4.0
+    device = Device.simulated(mass, damping=drag, step=step, integrator="semi-implicit")
+    loop = HapticLoop(device=device, sample_time=4 * step, delay=late_steps * step)
+    found = disturbed_responses(loop, stiffness, damping, (False, True, False))
+    assert found is not None
+    x = v = last = 0.0
+    forces, positions = [0.0] * late_steps, []
+    for k in range(8):
+        positions.append(x)
+        force = float(k == 0) - stiffness * x - damping * (x - last) / (4 * step)
+        last, forces = x, forces + [force] * 4
+        for now in forces[:4]:
+            v += step * (now - drag * v) / mass
+            x += step * v
+        forces = forces[4:]
+    start = np.flatnonzero(found.head[0, 0])[0] - np.flatnonzero(positions)[0]
+    moved = found.head[0, 0, start:][: len(positions)]
+    np.testing.assert_allclose(moved, positions, rtol=1e-12, atol=1e-18)
+
+
 @pytest.mark.parametrize("excitation", ["force", "impact"])
 def test_a_wall_that_settles_at_the_horizon_has_settled(excitation: str) -> None:
     loop = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3, delay=1e-3)
