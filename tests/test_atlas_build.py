@@ -23,7 +23,7 @@ from jaxstab.atlas.build import verify_atlas, write_atlas
 from jaxstab.cli.options import processes
 
 TINY = AtlasSpec(gamma=[0.0], delta=[0.015], delay=[0.0, 0.1], rows=5)
-LONG = AtlasSpec(gamma=np.linspace(0.0, 1e-3, 9), delta=np.linspace(0.0, 0.015, 9))
+LONG = AtlasSpec(gamma=np.linspace(0.0, 1e-3, 25), delta=np.linspace(0.0, 0.015, 25))
 FORMER = b"the former file"
 
 
