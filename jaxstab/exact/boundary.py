@@ -270,7 +270,7 @@ def root_lines(loop: ScaledLoop) -> list[RootLine]:
             line = stable_pencil(partial(_divided, loop, kept))
             start, along = (np.array([float(arb.mid()) for arb in pair]) for pair in ends)
             turn = decided(partial(_turn, loop, kept))
-            own = RootLine(angle, start, along, line, nan if turn is None else turn)
+            own = RootLine(angle, start, along, line, turn)
             if not line.drift or _bounds_walls(loop, own):
                 lines.append(own)
     return lines
@@ -292,11 +292,13 @@ def _bounds_walls(loop: ScaledLoop, line: RootLine) -> bool:
     return False
 
 
-def _turn(loop: ScaledLoop, at_root: Callable[[], _Kept]) -> float | None:
+def _turn(loop: ScaledLoop, at_root: Callable[[], _Kept]) -> float:
     """The place on a line where the side of its stable walls changes; NaN nowhere."""
     kept = at_root()
+    if kept.z is None or kept.direction is None:
+        return nan
     parts = _divided(loop, at_root)
-    if kept.z is None or kept.direction is None or parts is None:
+    if parts is None:
         return nan
     p0, q = (part.polynomial()(kept.z) for part in parts)  # p' at the root over 2i sin(theta)
     rest, slope = ((kept.direction * value.conjugate()).imag for value in (p0, q))

@@ -72,7 +72,7 @@ if TYPE_CHECKING:
     from flint import acb, arb, arb_mat, arb_poly, fmpq_poly
 
 
-MOST_FOR_ROOTS = FIRST_BITS << 3  # bits: balls that still overlap hold multiple roots, in practice
+_MOST_BITS = FIRST_BITS << 3  # bits: balls that still overlap hold multiple roots, in practice
 
 TripleAt = Callable[[], Triple]
 """Gives the parts of p(z) in balls of the precision that is set, as ``ball_triple(loop)``."""
@@ -250,7 +250,7 @@ def stable_over(p: Callable[[float, float], Factored], first: Axis, second: Axis
             return None
         return _sign(left * flint.arb_mat(*counts, values) * right.transpose())
 
-    code = decided(judged, most=MOST_FOR_ROOTS) or Verdict.UNDECIDED
+    code = decided(judged, most=_MOST_BITS) or Verdict.UNDECIDED
     is_wider = first.is_narrow or second.is_narrow
     return Verdict.UNDECIDED if is_wider and code == Verdict.UNSTABLE else code
 
@@ -338,7 +338,7 @@ class Poles(NamedTuple):
 def spectral_radius(triple: TripleAt, stiffness: float, damping: float) -> Number:
     """The largest modulus of the poles of the wall (K, B); an infinite error: nothing is proved."""
     p = partial(_polynomial, triple, stiffness, damping)
-    number = decided(lambda: _largest_modulus(p()), most=MOST_FOR_ROOTS)
+    number = decided(lambda: _largest_modulus(p()), most=_MOST_BITS)
     return number or decided(lambda: _radius_between(p())) or Number(np.nan, np.inf)
 
 
@@ -352,7 +352,7 @@ def rough_radius(triple: TripleAt, stiffness: float, damping: float) -> float:
 def poles(triple: TripleAt, stiffness: float, damping: float) -> Poles:
     """All poles of the wall (K, B), those at z = 0 included."""
     p = partial(_polynomial, triple, stiffness, damping)
-    found = decided(lambda: real_or_not(isolated_roots(p())), most=MOST_FOR_ROOTS)
+    found = decided(lambda: real_or_not(isolated_roots(p())), most=_MOST_BITS)
     if found is None:
         return Poles(np.full(triple().degree, complex(np.nan, np.nan)), np.inf)
     values, error = [], 0.0

@@ -45,7 +45,7 @@ def segments_of(delays: Delays) -> list[Segments]:
     turns = []
     for k in range(period):
         arrivals = (delays[(k - age) % period] - age for age in count())
-        late = list(takewhile(lambda time: time > 0.0, arrivals))  # at the begin of the sample
+        late = list(takewhile(lambda time: time > 0.0, arrivals))  # when the sample starts
         acting, start, segments = len(late), 0.0, []
         newer = sorted((time, age) for age, time in enumerate(late) if time < 1.0)
         for time, age in newer:
