@@ -12,6 +12,7 @@ from mpmath import mp, mpf
 from benchmarks.regions import tally
 from benchmarks.truth import loop as truth
 from benchmarks.truth.filtered import FilteredLoop, average, difference
+from benchmarks.truth.plain import Loop, largest_stiffnesses
 from benchmarks.truth.random_loops import DeviceLoop
 from jaxstab import HapticLoop, limits_of, regions_of
 from jaxstab.exact.line import stable_line
@@ -291,6 +292,27 @@ def test_corners_that_other_arcs_cut_off_are_not_taken_for_corners() -> None:
     for wall in walls:
         assert balls.is_stable(*wall) is False
         assert not region.contains(*wall)
+
+
+@pytest.mark.parametrize(
+    ("draw", "seed"),
+    [
+        (DeviceLoop.drawn, (20261126, 3)),
+        (DeviceLoop.drawn, (20261126, 20)),  # a corner that float64 misses by 2e-10
+        (DeviceLoop.drawn, (20261126, 30)),  # a tip: rows beyond it are empty
+        (DeviceLoop.drawn, (20261126, 38)),  # a tip that float64 has beyond it
+        (DeviceLoop.hardly_moved, (20261130, 4)),  # slopes that cancel in float64
+        (DeviceLoop.hardly_moved, (20261130, 31)),  # 1e-9 of the region's size, no corner
+    ],
+)
+def test_the_largest_stiffness_is_that_of_60_digits(draw: Any, seed: tuple[int, int]) -> None:
+    drawn = draw(np.random.default_rng(seed))
+    limits = drawn.loop.limits()
+    wall = limits.stiffness, limits.at_damping
+    known = largest_stiffnesses(Loop.of(drawn), *wall)
+    assert any(abs(true / wall[0] - 1) < 2e-14 for true in known)
+    row = drawn.loop.intervals(damping=wall[1])  # where it is the end of what is proved
+    assert any(abs(high.value / wall[0] - 1.0) < 1e-15 for _, high in row.intervals)
 
 
 @pytest.mark.campaign

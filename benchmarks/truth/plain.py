@@ -3,9 +3,11 @@
 A loop is drawn by ``random_loops``; its plant is the equations of motion in mpmath (``devices``),
 its filters are difference equations in exact fractions (``filtered``)."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from fractions import Fraction
 from functools import reduce
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -100,22 +102,85 @@ def is_stable_in_digits(falling: Falling) -> bool | None:
 
 def radius(falling: Falling) -> mpf:
     """The largest modulus of a root, by Aberth's iteration from eigenvalues, in 60 digits."""
-    with mp.workdps(60):
-        return max(map(abs, _roots(falling)))
+    return max(map(abs, _roots(falling)))
 
 
 def outside(falling: Falling) -> int:
     """The number of roots outside the circle, by the roots themselves."""
-    with mp.workdps(60):
-        return sum(abs(root) > 1 for root in _roots(falling))
+    return sum(abs(root) > 1 for root in _roots(falling))
+
+
+def largest_stiffnesses(loop: Loop, stiffness: float, damping: float) -> Iterator[mpf]:
+    """Where K may be largest next to a wall, in 60 digits, the likely places first.
+
+    A root is on the circle there, and its modulus does not change with B, or B is 0, or another
+    root is on the circle too; or two roots are at 1, or at -1.
+    """
+    near = 1e-5
+    with mp.workdps(DIGITS):
+        roots, _ = _aberth(loop.polynomial(stiffness, damping))
+        close = [z for z in roots if abs(abs(z) - 1) < near and mp.im(z) > -(near**4)]
+        close.sort(key=lambda z: abs(abs(z) - 1))
+    alone = [(z, None) for z in close]
+    for one, other in [*alone[:1], *combinations(close, 2), *alone[1:]]:
+        with suppress(ValueError, ZeroDivisionError):  # they do not meet
+            yield _largest_at(loop, (stiffness, damping), one, other)
+    for z in (mpf(1), mpf(-1)):
+        with suppress(ZeroDivisionError):
+            yield _largest_at_double(loop, z)
+
+
+def _largest_at(loop: Loop, wall: tuple[float, float], one: mp.mpc, other: mp.mpc | None) -> mpf:
+    nothing = 1e-14  # B that changes K by less is not changed
+    with mp.workdps(DIGITS):
+        k, b = map(mpf, wall)
+        unit = b or k * mpf(loop.loop.sample_time)
+        is_kept = abs(_beyond(loop, one, k, b)[1] * b) < nothing
+
+        def conditions(x: mpf, y: mpf) -> list[mpf]:
+            beyond, change = _beyond(loop, one, x * k, y * unit)
+            if other is not None:
+                return [beyond, _beyond(loop, other, x * k, y * unit)[0]]
+            return [beyond, y - b / unit if is_kept else change * unit]
+
+        return mp.findroot(conditions, (mpf(1), b / unit), tol=1e-70, maxsteps=20)[0] * k
+
+
+def _largest_at_double(loop: Loop, z: mpf) -> mpf:
+    with mp.workdps(DIGITS):
+        base, k, b = ((evaluate(p, z), evaluate(_slopes(p), z)) for p in loop[1:])
+        return (base[1] * b[0] - base[0] * b[1]) / (k[0] * b[1] - k[1] * b[0])
+
+
+def _beyond(loop: Loop, root: mp.mpc, stiffness: mpf, damping: mpf) -> tuple[mpf, mpf]:
+    """How far a root is from the circle, and by how much more it is for each unit of B."""
+    base, k, b = loop[1:]
+    falling = [x + stiffness * y + damping * z for x, y, z in zip(base, k, b, strict=True)]
+    slopes = _slopes(falling)
+    move = mpf(1)
+    while abs(move) > mpf(10) ** -60:  # then twice as many digits are right
+        move = evaluate(falling, root) / evaluate(slopes, root)
+        root -= move
+    moved = -evaluate(b, root) / evaluate(slopes, root)
+    return abs(root) - 1, mp.re(mp.conj(root) * moved) / abs(root)
+
+
+def _slopes(falling: Falling) -> Falling:
+    return [c * (len(falling) - 1 - k) for k, c in enumerate(falling[:-1])]
 
 
 def _roots(falling: Falling) -> list[mp.mpc]:
-    """Roots by the simultaneous iteration of Aberth (1973), from guesses in float64."""
+    with mp.workdps(60):
+        roots, moved = _aberth(falling)
+    if moved > mpf(10) ** -40:
+        raise ArithmeticError("roots that coincide; take others")
+    return roots
+
+
+def _aberth(falling: Falling) -> tuple[list[mp.mpc], mpf]:
+    """Roots by the simultaneous iteration of Aberth (1973), and how far they moved last."""
     guesses = np.roots(np.array([complex(c) for c in falling]))
-    roots = [mp.mpc(complex(z)) for z in guesses]
-    degree = len(falling) - 1
-    slopes = [c * (degree - k) for k, c in enumerate(falling[:-1])]
+    roots, slopes = [mp.mpc(complex(z)) for z in guesses], _slopes(falling)
     for _ in range(40):
         largest = mpf(0)
         for index, z in enumerate(roots):
@@ -125,8 +190,8 @@ def _roots(falling: Falling) -> list[mp.mpc]:
             roots[index] = z - move
             largest = max(largest, abs(move))
         if largest < mpf(10) ** -40:
-            return roots
-    raise ArithmeticError("roots that coincide; take others")
+            break
+    return roots, largest
 
 
 def product(*factors: Falling) -> Falling:

@@ -23,7 +23,13 @@ from flint import acb, acb_poly, arb, arb_poly, ctx
 from jaxtyping import Bool, Complex128, Float64
 
 from jaxstab.conventions import Verdict
-from jaxstab.exact.line import StableLine, is_real_quotient, real_quotient_angles, stable_pencil
+from jaxstab.exact.line import (
+    End,
+    StableLine,
+    is_real_quotient,
+    real_quotient_angles,
+    stable_pencil,
+)
 from jaxstab.exact.roots import are_inside, wall_verdict
 from jaxstab.model import LoopParameters
 from jaxstab.model.affine import AffineParts, affine_triple
@@ -199,6 +205,23 @@ def _in_u(rising: "list[arb]", turn: "acb") -> "list[acb]":
         terms = [k * term for k, term in enumerate(terms)]
         factor *= acb(0, 1) / order
     return series
+
+
+def slope_of_end(loop: ScaledLoop, end: End, other: float, axis: int) -> float:
+    """By how much an end of a line of alpha (axis 0) or of beta moves with the other gain.
+
+    A root that stays on the circle moves along i z: i z p' dtheta + N_own dt + N_other dother = 0.
+    """
+    with _enough_bits(loop):
+        z, parts, _ = loop.at_angle(arb(end.angle) + arb(end.angle_rest))
+        weights = 1.0, *(end.value, other)[:: 1 - 2 * axis]
+        slope = sum(
+            (w * part.derivative()(z) for w, part in zip(weights, loop.polynomials(), strict=True)),
+            acb(0),
+        )
+        along = (acb(0, 1) * z * slope).conjugate()
+        own, aside = ((parts[k] * along).imag for k in (1 + axis, 2 - axis))
+        return float((-aside / own).mid())
 
 
 def undamped_modes(

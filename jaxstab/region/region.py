@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.arrays import Numbers, is_traced
-from jaxstab.exact.boundary import ScaledLoop
+from jaxstab.exact.boundary import ScaledLoop, slope_of_end
 from jaxstab.exact.line import End, LineStatus, StableLine, stable_line
 from jaxstab.model import LoopParameters
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
@@ -47,6 +47,7 @@ from jaxstab.region.pieces import (
     second_pairs,
 )
 from jaxstab.region.stable_set import StableRegion, components_of, region_within
+from jaxstab.rounding import UNIT
 
 _BESIDE = 1e-9  # of a limit: how far from it lines are compared
 _LEAST = 1e-12  # of a component's size: the same for limits that are small beside that
@@ -255,18 +256,50 @@ def proved_extremes(region: StableRegion) -> tuple[Point, Point]:
     Each is the end of an interval of a row that is proved, but next to corners that are thinner
     than float64. NaN if no gain is positive.
     """
-    c, outline = region.curve, region.outline
-    points = []
-    for axis, (point, _) in enumerate(measures.quadrant_extremes(c, outline)):
-        limit, extent = float(point[axis]), float(np.ptp(outline.vertices[:, axis]))
-        if np.all(np.isfinite(point)):
-            row = _Lines(c.loop).at(1 - axis, float(point[1 - axis]))
-            ends = np.array([high.value for _, high in row.intervals])
-            apart = np.abs(ends - limit)  # an outline is right to some 1e-11 of its size
-            if np.min(apart, initial=np.inf) < _BESIDE * max(limit, extent):
-                point[axis] = ends[np.argmin(apart)]
-        points.append(point)
-    return points[0], points[1]
+    c, lines = region.curve, _Lines(region.curve.loop)
+    first, second = (point for point, _ in measures.quadrant_extremes(c, region.outline))
+    extents = np.ptp(region.outline.vertices, axis=0)
+    return _at_end(c, lines, first, extents, 0), _at_end(c, lines, second, extents, 1)
+
+
+def _at_end(c: Curve, lines: _Lines, point: Point, extents: Point, axis: int) -> Point:
+    """Return a point where a coordinate is largest as the end of a proved row.
+
+    At a corner two crossings of a row are next to each other: Newton's method follows them to the
+    row on which they meet. Beyond a tip rows are empty.
+    """
+    steps, near = 4, 1e-6  # of the limit: crossings that may meet
+    aside = 4.0 * UNIT
+    if not np.all(np.isfinite(point)):
+        return point
+    limit, other = point.tolist()[:: 1 - 2 * axis]
+    proved: dict[float, float] = {}  # ends next to the limit, by the other gain
+
+    def row_at(other: float) -> StableLine:
+        row = lines.at(1 - axis, other)
+        ends = [high.value for _, high in row.intervals]
+        end = min(ends, key=lambda value: abs(value - limit), default=np.inf)
+        # An outline is right to some 1e-11 of its size.
+        if abs(end - limit) < _BESIDE * max(limit, extents[axis]):
+            proved[other] = end
+        return row
+
+    for _ in range(steps):
+        ends = sorted(row_at(other).crossings, key=lambda end: abs(end.value - limit))
+        pair = [ends[0], *(end for end in ends if end.angle != ends[0].angle)][:2] if ends else []
+        gap = pair[1].value - pair[0].value if len(pair) == 2 else np.inf
+        if not 0.0 < abs(gap) < near * limit:
+            break
+        moves = [slope_of_end(c.loop, end, other, axis) for end in pair]
+        step = gap / (moves[0] - moves[1])
+        if not UNIT * abs(other) < abs(step) < near * extents[1 - axis]:
+            break
+        other += step
+    for beside in (other, other * (1.0 - aside), other * (1.0 + aside)):
+        if other not in proved:
+            row_at(beside)
+    best = max(proved, key=proved.__getitem__, default=None)
+    return point if best is None else np.array([proved[best], best][:: 1 - 2 * axis])
 
 
 def _agree(line: StableLine, drawn: Points, slim: float, share: float, size: float) -> bool:
