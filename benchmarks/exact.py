@@ -21,7 +21,7 @@ import numpy as np
 
 from benchmarks import record
 from benchmarks.record import Row
-from benchmarks.truth.plain import Loop, largest_stiffnesses
+from benchmarks.truth.plain import Loop, stiffest_walls
 from benchmarks.truth.plain import radius as true_radius
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop, hostile_walls, long_window
 from jaxstab import Device, HapticLoop, Velocity
@@ -204,15 +204,19 @@ def _judge_line(
 
 
 def _limits(tally: Tally, loop: HapticLoop, truth: Loop | None) -> None:
-    """The largest stiffness is that of 60 digits."""
+    """The largest stiffness is that of 60 digits, or at a damping that is: K may be that steep."""
     limits = tally.ask(loop.limits, lambda found: found.status == RegionStatus.UNRESOLVED)
-    stiffness = limits.stiffness
-    if truth is None or not 0.0 < stiffness < inf:
+    wall = limits.stiffness, limits.at_damping
+    if truth is None or not 0.0 < wall[0] < inf:
         return
-    known = largest_stiffnesses(truth, stiffness, limits.at_damping)
-    errors = (abs(float(true / stiffness - 1)) for true in known)
-    apart = next((error for error in errors if error <= _SAME), inf)
-    tally.compare(apart, (loop, stiffness, limits.at_damping))
+    tally.compare(next(filter(isfinite, _errors(truth, wall)), inf), (loop, wall))
+
+
+def _errors(truth: Loop, wall: tuple[float, float]) -> Iterator[float]:
+    near = 1e-9
+    for known in stiffest_walls(truth, *wall):
+        apart = [abs(float(a / b - 1)) if b else inf for a, b in zip(known, wall, strict=True)]
+        yield min(apart) if apart[0] < near and min(apart) <= _SAME else inf
 
 
 def _margins(tally: Tally, loop: HapticLoop, walls: list[list[float]]) -> None:

@@ -12,7 +12,7 @@ from mpmath import mp, mpf
 from benchmarks.regions import tally
 from benchmarks.truth import loop as truth
 from benchmarks.truth.filtered import FilteredLoop, average, difference
-from benchmarks.truth.plain import Loop, largest_stiffnesses
+from benchmarks.truth.plain import Loop, stiffest_walls
 from benchmarks.truth.random_loops import DeviceLoop
 from jaxstab import HapticLoop, limits_of, regions_of
 from jaxstab.exact.line import stable_line
@@ -301,18 +301,24 @@ def test_corners_that_other_arcs_cut_off_are_not_taken_for_corners() -> None:
         (DeviceLoop.drawn, (20261126, 20)),  # a corner that float64 misses by 2e-10
         (DeviceLoop.drawn, (20261126, 30)),  # a tip: rows beyond it are empty
         (DeviceLoop.drawn, (20261126, 38)),  # a tip that float64 has beyond it
+        (DeviceLoop.drawn, (20261126, 288)),  # a tip as thin as a rounding
         (DeviceLoop.hardly_moved, (20261130, 4)),  # slopes that cancel in float64
         (DeviceLoop.hardly_moved, (20261130, 31)),  # 1e-9 of the region's size, no corner
     ],
 )
-def test_the_largest_stiffness_is_that_of_60_digits(draw: Any, seed: tuple[int, int]) -> None:
+def test_the_largest_gains_are_those_of_60_digits(draw: Any, seed: tuple[int, int]) -> None:
     drawn = draw(np.random.default_rng(seed))
+    loop, base, *gains = Loop.of(drawn)
     limits = drawn.loop.limits()
-    wall = limits.stiffness, limits.at_damping
-    known = largest_stiffnesses(Loop.of(drawn), *wall)
-    assert any(abs(true / wall[0] - 1) < 2e-14 for true in known)
-    row = drawn.loop.intervals(damping=wall[1])  # where it is the end of what is proved
-    assert any(abs(high.value / wall[0] - 1.0) < 1e-15 for _, high in row.intervals)
+    for wall, parts, name in (
+        ((limits.stiffness, limits.at_damping), gains, "damping"),
+        ((limits.damping, limits.at_stiffness), gains[::-1], "stiffness"),
+    ):
+        known = [largest for largest, _ in stiffest_walls(Loop(loop, base, *parts), *wall)]
+        assert any(abs(true / wall[0] - 1) < 1e-13 for true in known)
+        row = drawn.loop.intervals(**{name: wall[1]})  # it is the end of what is proved
+        ends = [high.value for _, high in row.intervals]
+        assert any(abs(end / wall[0] - 1.0) < 1e-15 for end in ends) or wall[1] == 0.0
 
 
 @pytest.mark.campaign

@@ -110,8 +110,8 @@ def outside(falling: Falling) -> int:
     return sum(abs(root) > 1 for root in _roots(falling))
 
 
-def largest_stiffnesses(loop: Loop, stiffness: float, damping: float) -> Iterator[mpf]:
-    """Where K may be largest next to a wall, in 60 digits, the likely places first.
+def stiffest_walls(loop: Loop, stiffness: float, damping: float) -> Iterator[tuple[mpf, mpf]]:
+    """Walls next to a wall where K may be largest, in 60 digits, the likely ones first.
 
     A root is on the circle there, and its modulus does not change with B, or B is 0, or another
     root is on the circle too; or two roots are at 1, or at -1.
@@ -124,13 +124,15 @@ def largest_stiffnesses(loop: Loop, stiffness: float, damping: float) -> Iterato
     alone = [(z, None) for z in close]
     for one, other in [*alone[:1], *combinations(close, 2), *alone[1:]]:
         with suppress(ValueError, ZeroDivisionError):  # they do not meet
-            yield _largest_at(loop, (stiffness, damping), one, other)
+            yield _stiffest_at(loop, (stiffness, damping), one, other)
     for z in (mpf(1), mpf(-1)):
         with suppress(ZeroDivisionError):
-            yield _largest_at_double(loop, z)
+            yield _stiffest_at_double(loop, z)
 
 
-def _largest_at(loop: Loop, wall: tuple[float, float], one: mp.mpc, other: mp.mpc | None) -> mpf:
+def _stiffest_at(
+    loop: Loop, wall: tuple[float, float], one: mp.mpc, other: mp.mpc | None
+) -> tuple[mpf, mpf]:
     nothing = 1e-14  # B that changes K by less is not changed
     with mp.workdps(DIGITS):
         k, b = map(mpf, wall)
@@ -143,13 +145,15 @@ def _largest_at(loop: Loop, wall: tuple[float, float], one: mp.mpc, other: mp.mp
                 return [beyond, _beyond(loop, other, x * k, y * unit)[0]]
             return [beyond, y - b / unit if is_kept else change * unit]
 
-        return mp.findroot(conditions, (mpf(1), b / unit), tol=1e-70, maxsteps=20)[0] * k
+        x, y = mp.findroot(conditions, (mpf(1), b / unit), tol=1e-70, maxsteps=20)
+        return x * k, y * unit
 
 
-def _largest_at_double(loop: Loop, z: mpf) -> mpf:
+def _stiffest_at_double(loop: Loop, z: mpf) -> tuple[mpf, mpf]:
     with mp.workdps(DIGITS):
         base, k, b = ((evaluate(p, z), evaluate(_slopes(p), z)) for p in loop[1:])
-        return (base[1] * b[0] - base[0] * b[1]) / (k[0] * b[1] - k[1] * b[0])
+        det = k[0] * b[1] - k[1] * b[0]
+        return (base[1] * b[0] - base[0] * b[1]) / det, (k[1] * base[0] - k[0] * base[1]) / det
 
 
 def _beyond(loop: Loop, root: mp.mpc, stiffness: mpf, damping: mpf) -> tuple[mpf, mpf]:

@@ -17,7 +17,7 @@ narrower than float64 tells two angles apart. A region that fails to the end is 
 claims nothing. What is not proved is that no island was missed between angles and rows.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from math import ceil, sqrt
 
 import numpy as np
@@ -257,49 +257,46 @@ def proved_extremes(region: StableRegion) -> tuple[Point, Point]:
     than float64. NaN if no gain is positive.
     """
     c, lines = region.curve, _Lines(region.curve.loop)
-    first, second = (point for point, _ in measures.quadrant_extremes(c, region.outline))
     extents = np.ptp(region.outline.vertices, axis=0)
-    return _at_end(c, lines, first, extents, 0), _at_end(c, lines, second, extents, 1)
+    points = [point for point, _ in measures.quadrant_extremes(c, region.outline)]
+    for axis, point in enumerate(points):
+        if np.all(np.isfinite(point)):
+            limit, other = point.tolist()[:: 1 - 2 * axis]
+            # An outline is right to some 1e-11 of its size.
+            around = limit, _BESIDE * max(limit, extents[axis])
+            limit, other = max(_ends_beside(lines, other, axis, *around), default=(limit, other))
+            points[axis] = np.array([limit, other][:: 1 - 2 * axis])
+    return points[0], points[1]
 
 
-def _at_end(c: Curve, lines: _Lines, point: Point, extents: Point, axis: int) -> Point:
-    """Return a point where a coordinate is largest as the end of a proved row.
+def _ends_beside(
+    lines: _Lines, other: float, axis: int, limit: float, far: float
+) -> Iterator[tuple[float, float]]:
+    """Yield ends of proved rows that are next to a limit, and the rows' own gain.
 
-    At a corner two crossings of a row are next to each other: Newton's method follows them to the
-    row on which they meet. Beyond a tip rows are empty.
+    The first row is that of the limit. At a corner two of its crossings are next to each other, and
+    Newton's method tells on which row they meet. Beside a tip rows are empty, or nearly so.
     """
-    steps, near = 4, 1e-6  # of the limit: crossings that may meet
-    aside = 4.0 * UNIT
-    if not np.all(np.isfinite(point)):
-        return point
-    limit, other = point.tolist()[:: 1 - 2 * axis]
-    proved: dict[float, float] = {}  # ends next to the limit, by the other gain
+    near = 1e-6  # of the limit: crossings that may meet
+    asides = 0.0, -64.0, 64.0, -1024.0, 1024.0  # roundings
+    row = lines.at(1 - axis, other)
+    yield from ((end, other) for end in _end_beside(row, limit, far))
+    pair = sorted(row.crossings, key=lambda end: abs(end.value - limit))[:2]
+    if len(pair) < 2 or abs(pair[1].value - limit) > near * limit:
+        return
+    first, second = (slope_of_end(lines.loop, end, other, axis) for end in pair)
+    corner = other + (pair[1].value - pair[0].value) / ((first - second) or np.inf)
+    for aside in asides if abs(corner - other) < near * abs(other) else ():
+        beside = corner * (1.0 + aside * UNIT)
+        found = _end_beside(lines.at(1 - axis, beside), limit, far)
+        if found:
+            yield found[0], beside
+            return
 
-    def row_at(other: float) -> StableLine:
-        row = lines.at(1 - axis, other)
-        ends = [high.value for _, high in row.intervals]
-        end = min(ends, key=lambda value: abs(value - limit), default=np.inf)
-        # An outline is right to some 1e-11 of its size.
-        if abs(end - limit) < _BESIDE * max(limit, extents[axis]):
-            proved[other] = end
-        return row
 
-    for _ in range(steps):
-        ends = sorted(row_at(other).crossings, key=lambda end: abs(end.value - limit))
-        pair = [ends[0], *(end for end in ends if end.angle != ends[0].angle)][:2] if ends else []
-        gap = pair[1].value - pair[0].value if len(pair) == 2 else np.inf
-        if not 0.0 < abs(gap) < near * limit:
-            break
-        moves = [slope_of_end(c.loop, end, other, axis) for end in pair]
-        step = gap / (moves[0] - moves[1])
-        if not UNIT * abs(other) < abs(step) < near * extents[1 - axis]:
-            break
-        other += step
-    for beside in (other, other * (1.0 - aside), other * (1.0 + aside)):
-        if other not in proved:
-            row_at(beside)
-    best = max(proved, key=proved.__getitem__, default=None)
-    return point if best is None else np.array([proved[best], best][:: 1 - 2 * axis])
+def _end_beside(row: StableLine, limit: float, far: float) -> list[float]:
+    ends = sorted((high.value for _, high in row.intervals), key=lambda end: abs(end - limit))
+    return [end for end in ends[:1] if abs(end - limit) < far]
 
 
 def _agree(line: StableLine, drawn: Points, slim: float, share: float, size: float) -> bool:
