@@ -193,8 +193,9 @@ def _judge_line(
         return
     known = [end.value for end in line.crossings]
     tried = [(low + high) / 2.0 for low, high in pairwise(known)]
+    ends = [end for interval in line.intervals for end in interval if isfinite(end.value)]
+    tally.error = max(tally.error, *(end.error / abs(end.value) for end in ends if end.value), 0.0)
     for value, error, *_ in line.crossings:
-        tally.error = max(tally.error, error / abs(value) if value else 0.0)
         aside = max(_SAME * abs(value), 4.0 * error)
         tried += [value - aside, value + aside]
     for t in tried:

@@ -232,6 +232,8 @@ def _exact(rows: list[Row]) -> Iterator[Line]:
         total, judged, wrong, undecided = _sums(some, "points", "judged", "wrong", "open")
         error = f"{wrong:,} of {judged:,} wrong, " if judged else ""
         error += f"{undecided:,} open"
+        if largest := max(row["error"] for row in some):
+            error += f", at most {_error(largest)} from 60 digits"
         task = f"{total:,} {question} of random loops"
         yield task, "balls", f"{_time(some[0]['seconds'])} of CPU", error, ""
     for row in rows:
