@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from mpmath import mp, mpf
 
+import jaxstab.region.region
 from benchmarks.regions import tally
 from benchmarks.truth import loop as truth
 from benchmarks.truth.filtered import FilteredLoop, average, difference
 from benchmarks.truth.plain import Loop, stiffest_walls
-from benchmarks.truth.random_loops import DeviceLoop
+from benchmarks.truth.random_loops import DeviceLoop, long_window
 from jaxstab import HapticLoop, limits_of, regions_of
 from jaxstab.exact.line import stable_line
 from jaxstab.model import by_name
@@ -523,3 +524,21 @@ def test_the_largest_alpha_has_the_derivatives_of_50_digits(derivative: Any) -> 
 def test_bad_input_is_refused_by_name(arguments: dict[str, float], name: str) -> None:
     with pytest.raises(ValueError, match=rf"^{name} is [^\n]*\.$"):
         stable_region(**{"gamma": 0.0, "delta": 0.0, "delay": 0.0} | arguments)
+
+
+def test_a_region_that_may_take_minutes_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before balls count at thousands of angles, where float64 leaves a loop open."""
+    loop = long_window(np.random.default_rng([20261126, 45])).loop
+    followed = jaxstab.region.region._followed
+
+    def without_balls(*args: Any, with_balls: bool) -> Any:
+        if with_balls:
+            raise InterruptedError
+        return followed(*args, with_balls=with_balls)
+
+    monkeypatch.setattr(jaxstab.region.region, "_followed", without_balls)
+    with (
+        pytest.warns(UserWarning, match="degree 118 may take minutes"),
+        pytest.raises(InterruptedError),
+    ):
+        loop.region()

@@ -17,6 +17,7 @@ narrower than float64 tells two angles apart. A region that fails to the end is 
 claims nothing. What is not proved is that no island was missed between angles and rows.
 """
 
+import warnings
 from collections.abc import Iterable, Iterator
 from math import ceil, sqrt
 
@@ -58,17 +59,29 @@ Points = Float64[np.ndarray, "point 2"]
 
 @np.errstate(all="ignore")  # NaN and infinity are answers
 def region_of(loop: ScaledLoop, tolerance: float) -> StableRegion:
-    """Return the region of a loop; see ``stable_region`` for the tolerance and what is raised."""
+    """Return the region of a loop; see ``stable_region`` for the tolerance and what is raised.
+
+    Warns: UserWarning before balls count for a loop of a high degree, which may take minutes.
+    """
     scans, closer = 5, 2  # and from which on balls count and angles are drawn out
+    quick = 80  # a degree: some thousand counts of roots in balls take seconds
     rough = 1e-3  # of the same: an outline that leaves its curve by more has too few angles
     c = curve_of(loop)
     if _keeps_a_root(loop):
         return region_within(c, empty_outline(resolved=True))
     centers, with_balls, lines = np.empty((0, 2)), bool(c.stretches), _Lines(loop)
+    is_slow = c.degree > quick
     for scan in range(scans):
         with_balls = with_balls or scan >= closer
         if scan >= closer:
             c = drawn_out(c, np.concatenate([_inner(line_ends(c)), centers]))
+        if is_slow and with_balls:
+            is_slow = False
+            warnings.warn(
+                f"the region of a loop of degree {c.degree} may take minutes: float64 leaves it "
+                "open; a shorter window or delay takes less.",
+                stacklevel=2,
+            )
         pieces, centers = _followed(c, centers, with_balls=with_balls)
         more: Centers | None = np.empty((0, 2))
         if pieces.open.size:
