@@ -114,7 +114,7 @@ class HapticLoop(LoopParameters, TwoGains):
 
         It takes some hundredths of a second; half a second with a window of more than 100 samples,
         some ten seconds if the device also swings at half of the sampling rate, and minutes where
-        float64 does not resolve the boundary.
+        float64 does not resolve the boundary: above degree 80 a UserWarning says so first.
 
         Args:
             tolerance: largest distance between the outline and the boundary, as a share of the

@@ -80,7 +80,7 @@ def region_of(loop: ScaledLoop, tolerance: float) -> StableRegion:
             warnings.warn(
                 f"the region of a loop of degree {c.degree} may take minutes: float64 leaves it "
                 "open; a shorter window or delay takes less.",
-                stacklevel=2,
+                stacklevel=3,
             )
         pieces, centers = _followed(c, centers, with_balls=with_balls)
         more: Centers | None = np.empty((0, 2))
