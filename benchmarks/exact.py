@@ -210,14 +210,15 @@ def _limits(tally: Tally, loop: HapticLoop, truth: Loop | None) -> None:
     wall = limits.stiffness, limits.at_damping
     if truth is None or not 0.0 < wall[0] < inf:
         return
-    tally.compare(next(filter(isfinite, _errors(truth, wall)), inf), (loop, wall))
+    tally.compare(next(_errors(truth, wall), inf), (loop, wall))
 
 
 def _errors(truth: Loop, wall: tuple[float, float]) -> Iterator[float]:
     near = 1e-9
     for known in stiffest_walls(truth, *wall):
         apart = [abs(float(a / b - 1)) if b else inf for a, b in zip(known, wall, strict=True)]
-        yield min(apart) if apart[0] < near and min(apart) <= _SAME else inf
+        if apart[0] < near and min(apart) <= _SAME:
+            yield min(apart)
 
 
 def _margins(tally: Tally, loop: HapticLoop, walls: list[list[float]]) -> None:

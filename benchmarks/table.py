@@ -233,7 +233,7 @@ def _exact(rows: list[Row]) -> Iterator[Line]:
         error = f"{wrong:,} of {judged:,} wrong, " if judged else ""
         error += f"{undecided:,} open"
         if largest := max(row["error"] for row in some):
-            error += f", at most {_error(largest)} from 60 digits"
+            error += f", error at most {_error(largest)}"
         task = f"{total:,} {question} of random loops"
         yield task, "balls", f"{_time(some[0]['seconds'])} of CPU", error, ""
     for row in rows:

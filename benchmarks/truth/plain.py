@@ -102,12 +102,14 @@ def is_stable_in_digits(falling: Falling) -> bool | None:
 
 def radius(falling: Falling) -> mpf:
     """The largest modulus of a root, by Aberth's iteration from eigenvalues, in 60 digits."""
-    return max(map(abs, _roots(falling)))
+    with mp.workdps(60):
+        return max(map(abs, _roots(falling)))
 
 
 def outside(falling: Falling) -> int:
     """The number of roots outside the circle, by the roots themselves."""
-    return sum(abs(root) > 1 for root in _roots(falling))
+    with mp.workdps(60):
+        return sum(abs(root) > 1 for root in _roots(falling))
 
 
 def stiffest_walls(loop: Loop, stiffness: float, damping: float) -> Iterator[tuple[mpf, mpf]]:
@@ -161,10 +163,11 @@ def _beyond(loop: Loop, root: mp.mpc, stiffness: mpf, damping: mpf) -> tuple[mpf
     base, k, b = loop[1:]
     falling = [x + stiffness * y + damping * z for x, y, z in zip(base, k, b, strict=True)]
     slopes = _slopes(falling)
-    move = mpf(1)
-    while abs(move) > mpf(10) ** -60:  # then twice as many digits are right
+    for _ in range(60):
         move = evaluate(falling, root) / evaluate(slopes, root)
         root -= move
+        if abs(move) < mpf(10) ** -60:  # twice as many digits are right
+            break
     moved = -evaluate(b, root) / evaluate(slopes, root)
     return abs(root) - 1, mp.re(mp.conj(root) * moved) / abs(root)
 
@@ -174,8 +177,7 @@ def _slopes(falling: Falling) -> Falling:
 
 
 def _roots(falling: Falling) -> list[mp.mpc]:
-    with mp.workdps(60):
-        roots, moved = _aberth(falling)
+    roots, moved = _aberth(falling)
     if moved > mpf(10) ** -40:
         raise ArithmeticError("roots that coincide; take others")
     return roots
