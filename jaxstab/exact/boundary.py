@@ -30,7 +30,7 @@ from jaxstab.exact.line import (
     real_quotient_angles,
     stable_pencil,
 )
-from jaxstab.exact.roots import are_inside, wall_verdict
+from jaxstab.exact.roots import are_inside, is_sharp, wall_verdict
 from jaxstab.model import LoopParameters
 from jaxstab.model.affine import AffineParts, affine_triple
 from jaxstab.model.balls import BallLoop, Factored, Triple, ball_loop
@@ -116,7 +116,7 @@ def curve_parts(loop: ScaledLoop) -> CurveParts:
             for place in (1, -1)
         ]
         roots = _roots(own.numerator), _roots(own.denominator)
-        angles, is_straight = _poles(loop)
+        angles, is_straight = decided(partial(_poles, loop), most=_LAST_BITS) or ([], False)
         poles = np.array([float(angle.mid()) for angle in angles])
     falling = np.array(triple)[:, ::-1]
     rows = falling, np.array(whole), np.array(shifted), np.array(ends)
@@ -284,8 +284,7 @@ class _Kept(NamedTuple):
 def root_lines(loop: ScaledLoop) -> list[RootLine]:
     """Return the lines of walls with a root at 1, at -1, and at poles where the plant is real."""
     places = [(0.0, partial(_at_end, loop, 1)), (np.pi, partial(_at_end, loop, -1))]
-    real = (pole for pole in _poles(loop)[0] if _is_real(loop, pole))
-    places += [(float(pole.mid()), partial(_at_pole, loop, pole)) for pole in real]
+    places += [(float(pole.mid()), partial(_at_pole, loop, pole)) for pole in _real_poles(loop)]
     lines = []
     for angle, kept in places:
         ends = decided(lambda: _start_and_along(kept()))  # noqa: B023
@@ -376,29 +375,38 @@ def _without(part: Factored, divisor: Factored) -> Factored:
     return plain._replace(rest=plain.rest // divisor.polynomial())
 
 
-@lru_cache
-def _poles(loop: ScaledLoop) -> "tuple[list[arb], bool]":
-    """The angles where V is real, none if balls do not tell them, and False.
+@remembered()
+def _poles(loop: ScaledLoop) -> "tuple[list[arb], bool] | None":
+    """The angles where V is real, none if balls do not tell them, and False; None for more bits.
 
     If V is real on the whole circle, the angles where the plant is, too, and True.
     """
-    with working_precision(FIRST_BITS):
-        if real_quotient_angles(*loop.balls().walls) == []:
-            return [], False
-    with working_precision(_LAST_BITS):
-        walls = loop.balls().walls
-        angles = real_quotient_angles(*walls)
-        if angles is not None or not is_real_quotient(*walls):
-            return angles or [], False
-        base, acting, _ = loop.triple()
-        return real_quotient_angles(base, acting) or [], True
+    walls, is_last = loop.balls().walls, ctx.prec >= _LAST_BITS
+    angles = real_quotient_angles(*walls)
+    if angles is not None and (is_last or all(map(is_sharp, angles))):
+        return angles, False
+    if not is_last:
+        return None
+    if not is_real_quotient(*walls):
+        return [], False
+    base, acting, _ = loop.triple()
+    return real_quotient_angles(base, acting) or [], True
+
+
+def _real_poles(loop: ScaledLoop) -> "list[arb]":
+    """The poles that keep a pair for all walls of a line."""
+
+    def real() -> "list[arb] | None":
+        poles = _poles(loop)
+        found = poles and [pole for pole in poles[0] if _is_real(loop, pole)]
+        return None if found and ctx.prec < _LAST_BITS else found
+
+    return decided(real, most=_LAST_BITS) or []
 
 
 def _is_real(loop: ScaledLoop, pole: "arb") -> bool:
-    """True if a pole keeps a pair for all walls of a line."""
-    with working_precision(_LAST_BITS):
-        _, (base, *_), unit = loop.at_angle(pole)
-        return bool(not unit.contains(0) and (base * unit).imag.contains(0))
+    _, (base, *_), unit = loop.at_angle(pole)
+    return bool(not unit.contains(0) and (base * unit).imag.contains(0))
 
 
 def others_inside(loop: ScaledLoop, angles: Angles, low: Angles) -> Bool[np.ndarray, " angle"]:
