@@ -42,11 +42,13 @@ is asked for; else the answer is that more bits are needed.
 """
 
 import math
+from functools import lru_cache
 from itertools import cycle, pairwise
 from typing import NamedTuple
 
 import numpy as np
 from flint import acb, arb, arb_mat, arb_poly, ctx, fmpq
+from jaxtyping import Float64
 
 from jaxstab.exact.roots import real_roots, sign_of
 from jaxstab.model.device.parts import FIRST_BITS, remembered, tiny
@@ -96,11 +98,7 @@ def is_positive(cosines: "list[arb]") -> bool | None:
 
 def _by_powers(cosines: "list[arb]") -> list[Zero] | None:
     """The zeros from roots in x = 2 cos(theta); None where they are not told apart."""
-    x, lower, power = arb_poly([0, 1]), arb_poly([2]), arb_poly([0, 1])  # 2 cos(k theta)
-    total = arb_poly([cosines[0]])
-    for c in cosines[1:]:
-        total += power * (c / 2)
-        lower, power = power, x * power - lower
+    total = arb_poly((_in_powers(len(cosines)) * arb_mat([[c] for c in cosines])).entries())
     slope = total.derivative()
     roots = _as_many_as_counted(total, slope, _guesses(cosines))
     roots = real_roots(total) if roots is None else roots
@@ -116,6 +114,16 @@ def _by_powers(cosines: "list[arb]") -> list[Zero] | None:
         elif not abs(root) > 2:
             return None  # no zero is at 0 or pi, but this one may be there
     return found
+
+
+@lru_cache
+def _in_powers(count: int) -> arb_mat:
+    """The coefficients of so many cos(k theta) in powers of x, exact, each in its column."""
+    orders = [arb_poly([2]), arb_poly([0, 1])]  # 2 cos(k theta)
+    while len(orders) < count:
+        orders.append(orders[-1].left_shift(1) - orders[-2])
+    rows = [[order[power] / 2 for order in orders[:count]] for power in range(count)]
+    return arb_mat(rows)
 
 
 def _as_many_as_counted(
@@ -134,19 +142,24 @@ def _guesses(cosines: "list[arb]") -> list[float]:
     degree, steps = len(cosines) - 1, 2
     largest = max(map(abs, cosines), key=float)
     c, order = np.array([float((x / largest).mid()) for x in cosines]), np.arange(degree + 1.0)
-    cells = 16 * degree
-    values = np.fft.rfft(c, 2 * cells).real
-    places = 2.0 * np.cos(np.linspace(0.0, np.pi, cells + 1))
-    cell = np.flatnonzero(np.diff(values < 0.0))
-    share = values[cell] / (values[cell] - values[cell + 1])
-    x = places[cell] + share * np.diff(places)[cell]
+    places = _places(16 * degree)
+    values = np.fft.rfft(c, 2 * len(places) - 2).real
+    is_negative = values < 0.0
+    left = np.flatnonzero(is_negative[1:] != is_negative[:-1])
+    share = values[left] / (values[left] - values[left + 1])
+    x = places[left] + share * (places[left + 1] - places[left])
     for _ in range(steps):
         theta = np.arccos(0.5 * x)
         turns = np.outer(theta, order)
         slope = np.sin(turns) @ (order * c) / (2.0 * np.sin(theta))
-        x = np.clip(x - np.cos(turns) @ c / slope, -2.0, 2.0)
+        x = np.minimum(np.maximum(x - np.cos(turns) @ c / slope, -2.0), 2.0)
     roots: list[float] = x.tolist()
     return roots
+
+
+@lru_cache
+def _places(cells: int) -> Float64[np.ndarray, " place"]:
+    return 2.0 * np.cos(np.linspace(0.0, np.pi, cells + 1))
 
 
 def _root_at(f: "arb_poly", slope: "arb_poly", guess: float) -> "arb":
