@@ -380,9 +380,10 @@ def _values(c: Curve, theta: Array, orders: int, low: Array | float = 0.0) -> Ar
     u = np.where(u == 0.0, _TINY, u)
     zeta, half_turn, side = np.exp(1j * u), np.exp(0.5j * u), np.where(is_upper, -1.0, 1.0)
     chord = 2.0 * half_turn.imag
-    straight = _product(c.straight[:rows], _powers(side * zeta, count))
-    powers = _powers(1j * chord * half_turn, count)
-    shifted = np.where(is_upper, *(_product(c.shifted[half, :rows], powers) for half in (1, 0)))
+    powers = _powers(np.concatenate([side * zeta, 1j * chord * half_turn]), count)
+    straight = _product(c.straight[:rows], powers[:, : flat.size])
+    halves = _product(c.shifted[:, :rows].reshape(2 * rows, count), powers[:, flat.size :])
+    shifted = np.where(is_upper, halves[rows:], halves[:rows])
     shifted[4:] *= zeta
     is_close = chord < np.where(is_upper, *c.close[::-1, :, None])
     parts: Array = np.where(is_close, *(x.reshape(orders, 4, -1) for x in (shifted, straight)))

@@ -155,10 +155,11 @@ def survey(c: Curve, pieces: Pieces) -> Survey:
     places, widths = np.append(angle, -angle), np.tile(apart, 2)
     away = np.maximum(np.maximum(begin - places, places - end), 0.0)
     close = max(few, int(np.max(np.sum(away < end - begin, axis=1))))  # others leave a piece even
-    for nearest in np.argsort(away, axis=1, kind="stable")[:, :close].T:
-        place, width = places[nearest, None], widths[nearest, None]
-        low, high = (np.arcsinh((limit - place) / width) for limit in (begin, end))
-        nodes.append(np.clip(place + width * np.sinh(low + (high - low) * shares), begin, end))
+    nearest = np.argsort(away, axis=1, kind="stable")[:, :close, None]
+    place, width, *ends = places[nearest], widths[nearest], begin[:, None], end[:, None]
+    low, high = (np.arcsinh((limit - place) / width) for limit in ends)
+    closing = np.clip(place + width * np.sinh(low + (high - low) * shares), *ends)
+    nodes.append(closing.reshape(len(begin), -1))
     ordered = np.sort(np.concatenate(nodes, axis=1), axis=1)
     tangents = gains_and_slopes(c, ordered)[1]
     return ordered, tangents, _turning_points(c, ordered, tangents)
@@ -262,28 +263,37 @@ def limits(
     return _moved(both, (slopes, values[..., None]))
 
 
+@np.errstate(all="ignore")  # NaN and infinity are answers
 def quadrant_extremes(c: Curve, outline: Outline) -> tuple[Extreme, Extreme]:
     """Return the points of the largest alpha and of the largest beta where the other is >= 0.
 
     Each is a vertex, or the last crossing with the axis of that gain; NaN if no gain is positive.
     """
-    ends = interval_ends(c, outline, np.zeros(2), axis=np.array([1, 0]))
-    last = np.max(ends, axis=1, initial=-np.inf, where=np.isfinite(ends)).tolist()
-    return _extreme(outline, 0, last[0]), _extreme(outline, 1, last[1])
+    return _extreme(c, outline, 0), _extreme(c, outline, 1)
 
 
-def _extreme(outline: Outline, axis: int, crossing: float) -> Extreme:
+def _extreme(c: Curve, outline: Outline, axis: int) -> Extreme:
     vertices = outline.vertices
     other = np.nan_to_num(vertices[:, 1 - axis], nan=-np.inf)
     is_allowed = other >= -_STILL * np.max(other)  # a corner on the axis may be beside it
     values = np.where(is_allowed, vertices[:, axis], -np.inf)
     vertex: int | None = int(np.argmax(values))
     largest, point = np.max(values), vertices[vertex]
+    crossing = _last_crossing(c, outline, axis, largest)
     if crossing > largest and crossing - largest > _STILL * abs(crossing):
         vertex, largest, point = None, crossing, np.array([crossing, 0.0][:: 1 - 2 * axis])
     sizes = _STILL * np.max(abs(np.nan_to_num(vertices)), axis=0)
     is_there = largest > sizes[axis] and np.max(other) > sizes[1 - axis]  # beyond rounding
     return np.where(is_there, point, np.nan) + 0.0, vertex  # no -0
+
+
+def _last_crossing(c: Curve, outline: Outline, axis: int, least: float) -> float:
+    """Return the last crossing of the boundary with the axis of a gain, -inf if none is beyond."""
+    row, gain = np.zeros(1), outline.vertices[:, axis]
+    reaches = np.maximum(gain[:-1], gain[1:]) > least  # edges are monotone
+    beyond = _met(outline, row, 1 - axis) & reaches
+    ends = _crossings(c, outline, row, 1 - axis, beyond)[0] if np.any(beyond) else row - np.inf
+    return float(np.max(ends, initial=-np.inf, where=np.isfinite(ends)))
 
 
 def interval_ends(
