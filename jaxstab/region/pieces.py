@@ -3,7 +3,8 @@
 A point of the curve bounds the stable set exactly where the other roots of p lie inside of the
 circle, and the set is then on the left (lemmas G1 and G3 of docs/proofs.md). So the search is
 one-dimensional: angles are tested by the recursion of Schur and Cohn of p without its pair, in
-float64, and neighbours that pass are one *arc*. Its ends are narrowed by dividing their brackets.
+float64, and neighbours that pass are one *arc*. Its ends are narrowed by dividing their brackets,
+but where a bracket is short and holds the end of a straight part, which balls know.
 
 An arc ends where another root reaches the circle. If that is the root of one of the lines, the end
 of a straight part of the boundary has the arc's angle, and balls know both (``Curve.lines``).
@@ -111,7 +112,7 @@ def scan_angles(c: Curve, centers: Centers, *, with_balls: bool = False) -> Angl
     count = max(per_turn * c.degree, fewest, per_branch * (len(c.poles) + 1))
     step = np.pi / count
     even = step * (np.arange(count) + 0.5)
-    start = np.geomspace(_FIRST, even[0], to_ends, endpoint=False)
+    start = _FIRST * (even[0] / _FIRST) ** (np.arange(to_ends) / to_ends)
     around = [
         _around(c.poles, to_poles, step),
         _around(drawn_angles(c, *angles_of(line_ends(c)).T), to_proved, step),
@@ -137,7 +138,7 @@ def angles_of(ends: "Iterable[End | _Stop]") -> Centers:
 
 def _around(centers: Angles, closest: float, farthest: float) -> Angles:
     to_centers = 14  # angles that come closer and closer
-    offsets = np.geomspace(closest, farthest, to_centers)
+    offsets = closest * (farthest / closest) ** (np.arange(to_centers) / (to_centers - 1))
     return (centers[:, None] + np.concatenate([-offsets, offsets])).ravel()
 
 
@@ -289,6 +290,8 @@ def _arc_ends(c: Curve, angles: Angles, inside: Passes) -> _Ends:
         nearest = np.searchsorted(limits, inner) - np.repeat([1, 0], len(begins))
         pole = limits[np.clip(nearest, 0, len(limits) - 1)]
         outer = np.where((pole - inner) * (pole - outer) < 0.0, pole, outer)
+    if not inside.with_balls:
+        inner, outer = _at_line_ends(c, inner, outer)
     for _ in range(rounds if len(inner) else 0):
         width = inner - outer
         if np.max(np.abs(width)) < enough:
@@ -306,6 +309,17 @@ def _arc_ends(c: Curve, angles: Angles, inside: Passes) -> _Ends:
     chosen = np.concatenate([firsts[is_long], len(begin) + lasts[is_long]])
     theta = theta[chosen]
     return _Ends(theta, abs(inner - outer)[chosen], is_pinned[chosen], curve_gains(c, theta).T)
+
+
+def _at_line_ends(c: Curve, inner: Angles, outer: Angles) -> tuple[Angles, Angles]:
+    """Return brackets, or twice the end of a straight part that a short one holds, and no other."""
+    short = 1e-8  # radians
+    sizes = drawn_angles(c, *angles_of(line_ends(c)).T)
+    known = np.sort(np.concatenate([-sizes, sizes, [np.inf]]))
+    first = np.searchsorted(known, np.minimum(inner, outer), side="right")
+    is_alone = np.searchsorted(known, np.maximum(inner, outer)) - first == 1
+    is_known = is_alone & (np.abs(inner - outer) < short)
+    return np.where(is_known, known[first], inner), np.where(is_known, known[first], outer)
 
 
 def second_pairs(c: Curve, theta: Angles) -> Angles:
