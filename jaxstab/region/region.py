@@ -19,7 +19,8 @@ claims nothing. What is not proved is that no island was missed between angles a
 
 import warnings
 from collections.abc import Iterable, Iterator
-from math import ceil, sqrt
+from functools import lru_cache
+from math import ceil, isfinite, sqrt
 
 import numpy as np
 from jaxtyping import Float64
@@ -148,7 +149,7 @@ class _Lines:
 
     def along(self, start: tuple[float, float], along: tuple[float, float]) -> StableLine:
         """The line of walls start + t along."""
-        line = stable_line(self.loop.triple, start, along, self.bits)
+        line = _proved_line(self.loop, start, along, self.bits)
         self.bits = line.bits
         return line
 
@@ -157,6 +158,13 @@ class _Lines:
         return self.along(
             *(((value, 0.0), (0.0, 1.0)) if axis == 0 else ((0.0, value), (1.0, 0.0)))
         )
+
+
+@lru_cache  # a region and its limits ask for the row of the stiffest wall
+def _proved_line(
+    loop: ScaledLoop, start: tuple[float, float], along: tuple[float, float], bits: int
+) -> StableLine:
+    return stable_line(loop.triple, start, along, bits)
 
 
 def _angles_on(line: StableLine) -> Centers:
@@ -203,11 +211,13 @@ def _compared(c: Curve, outline: Outline) -> list[tuple[int, float, bool, float]
     slim = 1e-9  # of the region's width: shorter intervals need not be compared
     # In shares of its height, from corners: rows where modes are hardly damped.
     from_corners = 10.0 ** -np.arange(1.0, 8.0, 2.0)
-    row = 0.47  # of a component's height: where a row is compared
+    # Of a component's height: where a row is compared, or that of the limit, if corners are so far.
+    row, apart = 0.47, 0.05
     main, *islands = components_of(c, outline)
     sizes = np.ptp(outline.vertices, axis=0)
     lines: list[tuple[int, float, bool, float]] = []
-    for axis, (point, _) in enumerate(measures.quadrant_extremes(c, main)):
+    extremes = measures.quadrant_extremes(c, main)
+    for axis, (point, _) in enumerate(extremes):
         limit, other = point[[axis, 1 - axis]].tolist()
         extent = float(np.ptp(main.vertices[:, axis]))
         aside = max(_BESIDE * limit, _LEAST * extent)
@@ -217,6 +227,9 @@ def _compared(c: Curve, outline: Outline) -> list[tuple[int, float, bool, float]
                 lines.append((axis, limit - aside, True, 0.0))
     heights = (component.vertices[:, 1] for component in (main, *islands))
     rows = [float(np.min(beta) + np.ptp(beta) * row) for beta in heights]
+    at_limit = float(extremes[0][0][1])
+    if isfinite(at_limit) and np.all(abs(main.corners[:, 1] - at_limit) > apart * sizes[1]):
+        rows[0] = at_limit
     if c.stretches:
         near = np.append(-from_corners, from_corners) * sizes[1]
         rows += (outline.corners[:, 1, None] + near).ravel().tolist()
