@@ -412,14 +412,21 @@ def _is_real(loop: ScaledLoop, pole: "arb") -> bool:
 def others_inside(loop: ScaledLoop, angles: Angles, low: Angles) -> Bool[np.ndarray, " angle"]:
     """Return where all roots of p but a pair at e^(+-i (angle + low)) are inside, proved.
 
-    False also where no bits decide.
+    False also where no bits decide. Scans ask many angles again: the last answers are remembered.
     """
     answers, bits = np.zeros(len(angles), bool), FIRST_BITS
     for k, pair in enumerate(zip(angles.tolist(), low.tolist(), strict=True)):
-        answer = decided(partial(_is_inside, loop, *pair), first=bits)
+        answer = _decided_inside(loop, *pair, bits)
         if answer is not None:
             answers[k], bits = answer  # neighbours mostly need as many
     return answers
+
+
+@lru_cache(1 << 14)
+def _decided_inside(
+    loop: ScaledLoop, angle: float, low: float, bits: int
+) -> tuple[bool, int] | None:
+    return decided(partial(_is_inside, loop, angle, low), first=bits)
 
 
 def _is_inside(loop: ScaledLoop, angle: float, low: float) -> tuple[bool, int] | None:
