@@ -205,7 +205,7 @@ CASES: dict[str, tuple[Callable[[], Any], int]] = {
         lambda: others_inside(
             ScaledLoop(FILTERED, (1.0, 1.0)), np.linspace(0.1, 3.0, 7), np.zeros(7)
         ),
-        62,
+        69,
     ),
 }
 
