@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from mpmath import mp, mpf
 
+import jaxstab.exact.line
+import jaxstab.region.pieces
 import jaxstab.region.region
 from benchmarks.regions import tally
 from benchmarks.truth import loop as truth
@@ -524,6 +526,27 @@ def test_the_largest_alpha_has_the_derivatives_of_50_digits(derivative: Any) -> 
 def test_bad_input_is_refused_by_name(arguments: dict[str, float], name: str) -> None:
     with pytest.raises(ValueError, match=rf"^{name} is [^\n]*\.$"):
         stable_region(**{"gamma": 0.0, "delta": 0.0, "delay": 0.0} | arguments)
+
+
+def test_a_plain_region_and_its_limits_ask_little(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two lines at 1 and -1, three compared, one more limit; of angles, a scan and the middles."""
+    asked = {"_found": 0, "others_inside": 0}
+
+    def counting(room: Any, name: str) -> None:
+        own = getattr(room, name)
+
+        def counted(*given: Any, **named: Any) -> Any:
+            asked[name] += 1
+            return own(*given, **named)
+
+        monkeypatch.setattr(room, name, counted)
+
+    counting(jaxstab.exact.line, "_found")
+    counting(jaxstab.region.pieces, "others_inside")
+    monkeypatch.setattr(jaxstab.region.region, "others_inside", jaxstab.region.pieces.others_inside)
+    loop = HapticLoop(device_mass=0.11, device_damping=0.7, sample_time=1e-3)
+    loop.region().limits()
+    assert asked == {"_found": 6, "others_inside": 2}
 
 
 def test_a_region_that_may_take_minutes_says_so(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -269,6 +269,8 @@ def _cut_through(c: Curve, lines: _Lines, outline: Outline) -> Centers:
     most = 6
     theta = np.mean(outline.angles[outline.is_curved], axis=1)
     doubted = theta[~others_inside(c, theta)]
+    if not doubted.size:
+        return np.empty((0, 2))
     few = np.linspace(0, len(doubted) - 1, min(most, len(doubted))).astype(int)
     some = doubted[few]
     cut = some[~others_inside(c, some, with_balls=True)]
