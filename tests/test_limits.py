@@ -29,7 +29,7 @@ def loop_of(
 
 
 def is_stable(alpha: float, beta: float, loop: HapticLoop) -> bool:
-    lower, upper = truth.spectral_radius(alpha, beta, loop.gamma, loop.delta, loop.delay)
+    lower, upper = truth.spectral_radius(alpha, beta, loop.gamma, loop.delta, loop.delay_samples)
     assert (lower > 1.0) != (upper < 1.0)
     return bool(upper < 1.0)
 
@@ -87,6 +87,34 @@ def test_no_wall_without_negative_gains_exceeds_the_limits(samples: int) -> None
                 is_wall & ~np.any([i.contains(*walls) for i in loop.region().islands], 0)
             )
     assert ((on_axes > 0) == [samples == 20, True]).all()
+
+
+def test_one_gain_is_answered_without_a_region(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each end is where the radius of mpmath passes 1, and no region is asked for."""
+    loops = [held(rng, 1) for _ in range(6)]
+    tops = [loop.limits().damping for loop in loops]
+    monkeypatch.setattr("jaxstab.loop.loop.wall_region", None)
+    for loop, top in zip(loops, tops, strict=True):
+        wall = [0.0, float(rng.uniform(0.05, 0.9)) * top]
+        for axis, limits in ((0, loop.stiffness_limits), (1, loop.damping_limits)):
+            low, high = limits(wall[1 - axis])
+            for end, other in ((low, high), (high, low)):
+                for share, stable in ((-1e-9, True), (1e-9, False)):
+                    wall[axis] = float(end + share * (end - other))
+                    assert is_stable(loop.alpha(wall[0]), loop.beta(wall[1]), loop) == stable
+            wall[axis] = 0.5 * float(high)
+        assert np.isnan(loop.stiffness_limits(10.0 * top)).all()
+
+
+def test_walls_of_an_island_are_not_reached_by_small_gains() -> None:
+    """The main component lies in K < 0.0082 N/m and B > -0.0005 N s/m: its limits are not there."""
+    loop = loop_of(0.0, 0.0004, 1.0, Velocity.difference(samples=20))
+    ((_, high),) = loop.stiffness_intervals(-0.4).intervals
+    assert loop.region().islands[0].contains(0.99 * high.value, -0.4)
+    assert np.isnan(loop.stiffness_limits(-0.4)).all()
+    assert np.isnan(loop.damping_limits(0.07)).all()
 
 
 def test_the_largest_damping_on_the_line_of_a_real_root_is_where_that_crosses_the_axis() -> None:

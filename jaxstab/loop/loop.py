@@ -23,7 +23,14 @@ from jaxstab.loop.margins import (
     wall_frequency_margins,
 )
 from jaxstab.loop.measured import measured
-from jaxstab.loop.region import TOLERANCE, Gains, WallLimits, WallRegion, wall_region
+from jaxstab.loop.region import (
+    TOLERANCE,
+    Gains,
+    WallLimits,
+    WallRegion,
+    reached_interval,
+    wall_region,
+)
 from jaxstab.model import LoopParameters, by_name, checked_gain
 from jaxstab.model.balls import ball_triple
 from jaxstab.model.device.device import in_steps
@@ -184,9 +191,12 @@ class HapticLoop(LoopParameters, TwoGains):
     def stiffness_limits(self, damping: Numbers) -> Float64[Array, "*grid 2"]:
         """The smallest and the largest stable stiffness at given dampings in N s/m, any shape.
 
+        One number is answered by proved lines of walls where they tell, in a millisecond or two;
+        arrays, and where a line has several intervals, by the region.
+
         Returns:
             Array (*grid, 2) in N/m, for the component that contains small gains if there is one.
-            NaN where no stiffness is stable, and everywhere if the loop's region is UNRESOLVED. Of
+            NaN where no stiffness is stable, and wherever a region is asked that is UNRESOLVED. Of
             several intervals it is the one that extends farthest. JAX arrays and tracers give
             differentiable JAX arrays.
 
@@ -199,7 +209,8 @@ class HapticLoop(LoopParameters, TwoGains):
             >>> loop.stiffness_limits(20.0).round(1).tolist()
             [0.0, 35325.0]
         """
-        return self.region().reachable.stiffness_limits(damping)
+        found = self._reached("damping", damping)
+        return self.region().reachable.stiffness_limits(damping) if found is None else found
 
     def damping_limits(self, stiffness: Numbers) -> Float64[Array, "*grid 2"]:
         """The smallest and the largest stable damping at given stiffnesses in N/m, any shape.
@@ -213,7 +224,15 @@ class HapticLoop(LoopParameters, TwoGains):
             >>> loop.damping_limits(20000.0).round(3).tolist()
             [9.457, 181.026]
         """
-        return self.region().reachable.damping_limits(stiffness)
+        found = self._reached("stiffness", stiffness)
+        return self.region().reachable.damping_limits(stiffness) if found is None else found
+
+    def _reached(self, gain: str, value: Numbers) -> Float64[np.ndarray, "2"] | None:
+        is_one = isinstance(value, int | float | np.floating | np.integer)
+        if not is_one or is_any_jax(self) or array_fields(self) or measured(self):
+            return None
+        checked_gain(gain, value)
+        return reached_interval(self, gain, float(value))
 
     def stiffness_intervals(self, damping: float) -> StableLine:
         """All stable stiffnesses in N/m at a damping in N s/m: each interval, complete and proved.

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from math import isinf
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -9,8 +10,10 @@ from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Array, Numbers, are_numbers, float_arrays, is_jax, namespace
 from jaxstab.conventions import Verdict
+from jaxstab.exact.line import LineStatus, StableLine
 from jaxstab.loop.gains import Gain
 from jaxstab.model import checked_gain, require_x64
+from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.numbers import without_noise
 from jaxstab.region import RegionStatus, StableRegion, measures
 from jaxstab.region.region import loop_region, proved_extremes
@@ -372,6 +375,47 @@ def _limits_of(stiffest: Gains, damped: Gains, status: RegionStatus) -> WallLimi
 def wall_region(loop: Any, tolerance: float) -> WallRegion:
     """The stable walls of a loop; the most recent ones are remembered."""
     return WallRegion(loop, loop_region(loop, tolerance))
+
+
+def reached_interval(loop: Any, gain: str, value: float) -> Float64[np.ndarray, "2"] | None:
+    """The one stable interval at a stiffness or a damping, where lines of walls tell that it is.
+
+    Small gains reach it by walls next to K = 0, and then by a row. NaN if no wall is stable. None
+    where there are several intervals, or these walls are not stable: the region tells.
+    """
+    line = loop.intervals(**{gain: value})
+    is_known = line.status == LineStatus.PROVED and isinf(line.horizon) and not line.drift
+    if not is_known or len(line.intervals) > 1 or not _pushes_back(loop):
+        return None
+    if not line.intervals:
+        return np.full(2, np.nan)
+    ends = [end.value + 0.0 for end in line.intervals[0]]  # no -0
+    wall = {"stiffness": 0.0, "damping": sum(ends) / 2.0} | {gain: value}
+    row = line if gain == "damping" else loop.intervals(damping=wall["damping"])
+    steps = (row, wall["stiffness"]), (_without_stiffness(loop), wall["damping"])
+    return np.array(ends) if all(_goes_to(*step) for step in steps) else None
+
+
+def _pushes_back(loop: Any) -> bool:
+    """True if a wall pushes at rest: P(1) and G(0) are not 0."""
+    with working_precision(FIRST_BITS):
+        return not loop._triple().stiffness.at_one
+
+
+@lru_cache(maxsize=64)
+def _without_stiffness(loop: Any) -> StableLine:
+    return loop.intervals(stiffness=0.0)
+
+
+def _goes_to(line: StableLine, value: float) -> bool:
+    """True if all walls of a line from 0 on to a value are stable; without K a root may stay at 1.
+
+    That root is on one side of 1 in all of an interval as soon as there is a stiffness.
+    """
+    return (line.status == LineStatus.PROVED and line.drift < 2) and any(
+        low.value <= min(value, 0.0) and max(value, 0.0) < high.value - high.error
+        for low, high in line.intervals
+    )
 
 
 def names_of(gains: tuple[Gain, Gain]) -> GainNames:
