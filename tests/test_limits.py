@@ -14,7 +14,10 @@ from mpmath import mp, mpf
 import jaxstab
 from benchmarks.truth import loop as truth
 from benchmarks.truth.filtered import FilteredLoop, average, difference
+from benchmarks.truth.random_loops import DeviceLoop
 from jaxstab import Filter, HapticLoop, Velocity, Verdict
+from jaxstab.exact.line import Interval, LineStatus, StableLine
+from jaxstab.loop.region import reached_interval
 from jaxstab.model import by_name
 from jaxstab.region import Branch, RegionStatus, StableRegion, boundary_curve, stable_region
 from jaxstab.region import region as region_of_slices
@@ -115,6 +118,38 @@ def test_walls_of_an_island_are_not_reached_by_small_gains() -> None:
     assert loop.region().islands[0].contains(0.99 * high.value, -0.4)
     assert np.isnan(loop.stiffness_limits(-0.4)).all()
     assert np.isnan(loop.damping_limits(0.07)).all()
+
+
+def test_of_two_intervals_that_the_region_joins_the_farther_one_is_the_answer() -> None:
+    loop = DeviceLoop.drawn(np.random.default_rng([5, 6])).loop
+    near, far = loop.stiffness_intervals(34.0).intervals
+    assert near.low.value == 0.0
+    assert near.high.value < far.low.value
+    wanted = [end.value for end in far]
+    assert loop.stiffness_limits(34.0) == pytest.approx(wanted, rel=1e-9)
+    # At a stiffness of the farther one small gains do not come along the row.
+    assert reached_interval(loop, "stiffness", 610000.0) is None
+
+
+def test_a_row_is_reached_only_if_all_walls_next_to_no_stiffness_are_stable(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    loop = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+    assert reached_interval(loop, "damping", 20.0) == pytest.approx([0.0, 35324.95892], abs=1e-5)
+    column = loop.damping_intervals(0.0)
+    ((low, high),) = column.intervals
+    for ends in ((low._replace(value=1.0), high), (low, high._replace(value=15.0))):
+        short = column._replace(intervals=(Interval(*ends),))
+        monkeypatch.setattr("jaxstab.loop.region._without_stiffness", lambda _, own=short: own)
+        assert reached_interval(loop, "damping", 20.0) is None
+        assert reached_interval(loop, "stiffness", 20000.0) is None
+
+
+def test_a_line_that_balls_leave_open_tells_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+    nothing = StableLine((), (), 0, 0.0, LineStatus.UNDECIDED, 192)
+    monkeypatch.setattr(HapticLoop, "intervals", lambda *_, **__: nothing)
+    assert reached_interval(loop, "damping", 20.0) is None
 
 
 def test_the_largest_damping_on_the_line_of_a_real_root_is_where_that_crosses_the_axis() -> None:
