@@ -191,8 +191,8 @@ class HapticLoop(LoopParameters, TwoGains):
     def stiffness_limits(self, damping: Numbers) -> Float64[Array, "*grid 2"]:
         """The smallest and the largest stable stiffness at given dampings in N s/m, any shape.
 
-        One number is answered by proved lines of walls where they tell, in a millisecond or two;
-        arrays, and where a line has several intervals, by the region.
+        One number is answered by proved lines of walls, mostly within two milliseconds. Arrays are
+        answered by the region, and so is a number whose line has several intervals.
 
         Returns:
             Array (*grid, 2) in N/m, for the component that contains small gains if there is one.

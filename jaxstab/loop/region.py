@@ -378,10 +378,11 @@ def wall_region(loop: Any, tolerance: float) -> WallRegion:
 
 
 def reached_interval(loop: Any, gain: str, value: float) -> Float64[np.ndarray, "2"] | None:
-    """The one stable interval at a stiffness or a damping, where lines of walls tell that it is.
+    """The stable interval at a stiffness or a damping, if it is the only one on that line.
 
-    Small gains reach it by walls next to K = 0, and then by a row. NaN if no wall is stable. None
-    where there are several intervals, or these walls are not stable: the region tells.
+    Small gains must reach it: along walls next to K = 0, then along a row. NaN if no wall of the
+    line is stable. None, for the region to answer, where there are several intervals, or where
+    these walls are not all stable.
     """
     line = loop.intervals(**{gain: value})
     is_known = isinf(line.horizon)  # 0 where nothing is proved
