@@ -121,6 +121,41 @@ def test_51_ctrl_c_ends_a_command(name: str, seconds: float, tmp_path: Path) -> 
     assert WORKER not in told
 
 
+HELD = """
+import os, signal, time
+from jaxstab.cli.options import prompt_interrupts
+
+with prompt_interrupts():
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGUSR1})  # as a program of XLA that runs
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(60.0)
+"""
+
+
+@pytest.mark.parametrize("is_terminal", [False, True])
+def test_a_command_that_is_held_up_says_that_it_is_interrupted(is_terminal: bool) -> None:
+    ours, theirs = os.openpty() if is_terminal else os.pipe()
+    done = subprocess.run([sys.executable, "-c", HELD], stderr=theirs, check=False)
+    told = os.read(ours, 1000)
+    os.close(ours), os.close(theirs)
+    assert done.returncode == 130
+    assert told.rstrip().endswith(b"jaxstab: interrupted; no file is half-written.")
+    assert (b"\033[?25h" in told) == is_terminal  # the cursor, which a bar has hidden
+
+
+def test_an_interruption_says_nothing_of_files_that_are_written(tmp_path: Path) -> None:
+    script = "from jaxstab.cli import main, study; import os, signal; study.print_with_csv = lambda"
+    script += " *_: os.kill(os.getpid(), signal.SIGINT) or signal.pause(); main.main()"
+    (tmp_path / "scene.toml").write_text(SCENE)
+    command = "study", "scene.toml", "--over", "device.mass=0.1,0.2", "-o", "a.nc"
+    done = subprocess.run(
+        [sys.executable, "-c", script, *command], cwd=tmp_path, capture_output=True, check=False
+    )
+    assert done.returncode == 130
+    assert (tmp_path / "a.nc").exists()
+    assert done.stderr.endswith(b"jaxstab: interrupted; no file is half-written.\n")
+
+
 IMPORTING = """
 import builtins, os, signal
 from jaxstab.__main__ import main

@@ -22,7 +22,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import jaxstab
 from jaxstab.cli import plane, scene, study
-from jaxstab.cli.options import prompt_interrupts
+from jaxstab.cli.options import INTERRUPTED, prompt_interrupts
 from jaxstab.shown import printable
 
 
@@ -48,9 +48,9 @@ class OneSentence(click.Group):
             words = error.format_message() + self._missing(error)
             _fail(words if words.startswith("Usage:") else f"jaxstab: {words}")
         except click.Abort:
-            _fail(_INTERRUPTED, 130)
+            _fail(INTERRUPTED, 130)
         except KeyboardInterrupt:
-            _say(_INTERRUPTED)
+            _say(INTERRUPTED)
             atexit._run_exitfuncs()
             os._exit(130)  # threads of XLA that still compute crash a process that ends in order
         except (_NoReader, BrokenPipeError):  # the reader of our output has enough
@@ -98,9 +98,6 @@ def _open_what_is_closed() -> None:
         pass
     os.close(descriptor)
     sys.stderr = sys.stderr or io.StringIO()
-
-
-_INTERRUPTED = "jaxstab: interrupted; nothing was written."
 
 
 def _fail(words: str, code: int = 2) -> NoReturn:

@@ -7,7 +7,7 @@ compiled or runs there holds it up, for minutes if need be, and so do threads an
 which a command waits when it ends. So SIGINT is blocked in all threads and, as they inherit that,
 in all worker processes. One thread waits for it, and interrupts the main thread by another signal:
 files that are half-written are removed, and workers are ended. If the process is still there a
-second later, the thread ends it.
+second later, the thread says so in its place, and ends it.
 """
 
 import csv
@@ -282,6 +282,8 @@ def _address_in(file: Path) -> str:
 
 # Ctrl-C, and processes that end with it.
 
+INTERRUPTED = "jaxstab: interrupted; no file is half-written."
+
 
 @contextmanager
 def prompt_interrupts() -> Iterator[None]:
@@ -314,6 +316,10 @@ def _watch(done: threading.Event) -> None:
     signal.pthread_kill(main, signal.SIGUSR1)
     time.sleep(patience)
     end_workers()
+    if not done.is_set():
+        cursor = "\r\033[2K\033[?25h" if os.isatty(2) else ""  # which a bar has hidden
+        with suppress(OSError):
+            os.write(2, f"{cursor}{INTERRUPTED}\n".encode())
     os._exit(130)
 
 
