@@ -120,6 +120,15 @@ def test_a_loop_varies_by_its_fields_and_estimators() -> None:
             )
 
 
+def test_an_estimator_by_name_takes_the_place_of_the_one_of_the_scene() -> None:
+    controller = {"sample_time": 1e-3, "delay": 1e-3, "velocity": {"cutoff": 40.0, "order": 2}}
+    table = {"device": TABLE["device"], "controller": controller}
+    (limit,) = jaxstab.study(table, {"controller.velocity.preset": ["force-dimension-sdk"]})[
+        "largest_stiffness"
+    ].values
+    assert abs(limit - 2034.5894825819580505) < 1e-9  # of 20 samples, at 50 digits
+
+
 def test_lists_as_texts_are_lists() -> None:
     for given in ("0.1:0.3:3", "0.1,0.2,0.3", (0.1, 0.3, 3), [0.1, 0.2, 0.3]):
         assert values_of("device.mass", given).tolist() == [0.1, 0.2, 0.3]
