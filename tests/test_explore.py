@@ -557,6 +557,19 @@ def test_a_link_reproduces_the_state_and_a_scene_is_one(rng: np.random.Generator
         assert again == state
 
 
+@needs_node
+def test_a_scene_takes_the_walls_of_any_link() -> None:
+    state = initial_of(page_of({}))["state"]
+    texts = [f"a{chr(k)}b" for k in (*range(0x370), *range(0x2000, 0x2070), 0xD800, 0xE000, 0xFEFF)]
+    texts += ["", "-1", "=1+1", "\x7fa", "\u202eb", "z\U0001f600" * 60, "a" * 63 + "\U0001f600b"]
+    walls = [{"name": text, "stiffness": 1.0, "damping": 2.0} for text in texts]
+    (linked,) = asked_of_node("links", [state | {"walls": walls}])
+    (text,) = asked_of_node("scenes", [linked])
+    names = Scene.from_table(tomllib.loads(text)).walls
+    assert len(names) > 700
+    assert {"aéb", "ab", "1", "wall", "z\U0001f600" * 32, "a" * 63 + "\U0001f600"} <= {*names}
+
+
 @pytest.mark.campaign
 @needs_node
 def test_a_link_keeps_long_windows_and_high_orders() -> None:

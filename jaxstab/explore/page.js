@@ -243,7 +243,7 @@ function start() {
   picture.addEventListener("pointermove", (event) => event.buttons & 1 && pointAt(event));
   for (const form of document.forms) form.addEventListener("submit", (event) => event.preventDefault());
   byId("wall-form").addEventListener("submit", () => {
-    const name = byId("wall-name").value.trim() || "wall";
+    const name = nameOf(byId("wall-name").value.trim());
     const walls = state.walls.filter((wall) => wall.name !== name);
     update({ walls: [...walls, { name, ...cursorWall() }] });
   });

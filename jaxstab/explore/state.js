@@ -164,15 +164,22 @@ function stateOfHash(hash, state) {
   const isFilter = LISTS.every((key) => parts.get(key)) && [...above, ...below].every(Number.isFinite)
     && below[0] !== 0 && above.length <= below.length;
   [next.numerator, next.denominator] = isFilter ? [above, below] : [null, null];
-  next.walls = parts.getAll("wall").map(wallOfWords).filter(Boolean);
+  const walls = parts.getAll("wall").map(wallOfWords).filter(Boolean);
+  next.walls = [...new Map(walls.map((wall) => [wall.name, wall])).values()];
   return next;
 }
 
 /** A wall of "K B name"; null where there are no such numbers. */
 function wallOfWords(words) {
   const [stiffness, damping, ...name] = words.split(" ");
-  const wall = { name: name.join(" ").slice(0, LONGEST_NAME), stiffness: Number(stiffness), damping: Number(damping) };
+  const wall = { name: nameOf(name.join(" ")), stiffness: Number(stiffness), damping: Number(damping) };
   return Math.abs(wall.stiffness) + Math.abs(wall.damping) < 1e12 ? wall : null;
+}
+
+/** The name of a wall as jaxstab takes it: printable, and first a letter or a digit. */
+function nameOf(words) {
+  const name = words.replace(/[^\p{L}\p{M}\p{N}\p{P}\p{S} ]/gu, "").replace(/^[^\p{L}\p{N}]+/u, "");
+  return [...name].slice(0, LONGEST_NAME).join("") || "wall";
 }
 
 /** The state as a scene, which `jaxstab check` takes. */
