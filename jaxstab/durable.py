@@ -53,7 +53,7 @@ def replacing(path: Path, former: Identity = _ANY) -> Iterator[int]:
     """
     with named_errors("write", path):
         target, mode = target_of(path)
-        temporary = target.parent / f".{target.name}.{secrets.token_hex(8)}.part"
+        temporary = target.parent / f".{secrets.token_hex(8)}.part"
         try:
             descriptor, is_named = _new_file(temporary)
             try:

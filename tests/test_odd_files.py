@@ -123,6 +123,12 @@ def test_a_file_is_written_behind_its_link_and_keeps_its_mode(tmp_path: Path) ->
     assert [entry.name for entry in target.parent.iterdir()] == ["file"]
 
 
+def test_a_file_has_any_name_that_the_system_takes(tmp_path: Path) -> None:
+    longest = tmp_path / ("n" * os.pathconf(tmp_path, "PC_NAME_MAX"))
+    durable.publish(b"data", longest)
+    assert longest.read_bytes() == b"data"
+
+
 def test_what_a_full_disk_does_not_take_can_be_closed() -> None:
     image, full = io.BytesIO(b"image"), os.open("/dev/full", os.O_WRONLY)
     with pytest.raises(OSError, match="No space left") as _, image.getbuffer() as view:
