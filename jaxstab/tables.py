@@ -87,8 +87,8 @@ def text_of(path: str | PathLike[str], most: int) -> str:
             data = stream.read(most + 1)
         if data.startswith(b"\x89HDF\r\n\x1a\n"):
             raise ValueError(
-                f"{source} is an atlas (HDF5), not text; jaxstab atlas info, query, verify and "
-                "plot take it."
+                f"{source} is HDF5, not text; jaxstab atlas info, query, verify and plot take "
+                "atlases, study --merge parts of studies."
             )
         if len(data) > most:
             raise ValueError(f"{source} has more than {most / 1e6:g} MB; give a smaller file.")

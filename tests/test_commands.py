@@ -225,7 +225,7 @@ def test_31_15_a_delay_in_samples_is_refused_by_the_loop() -> None:
         (["limits"], "no scene is given; give the FILE of one"),
         (["check"], "no scene is given; give the FILE of one"),
         (["guard", "-o", "g.h"], "no scene is given; give the FILE of one"),
-        (["limits", "small.h5"], "small.h5 is an atlas (HDF5), not text; jaxstab atlas info"),
+        (["limits", "small.h5"], "small.h5 is HDF5, not text; jaxstab atlas info"),
         (["check", "spec.toml"], "the specification of an atlas; jaxstab atlas build"),
         (["atlas", "build", "--spec", "scene.toml"], "is a scene; jaxstab limits"),
         (

@@ -106,3 +106,9 @@ def test_the_command_stores_a_map_in_the_units_of_its_scene(tmp_path: Path) -> N
         refused = run(*words, *more)
         assert (refused.exit_code, refused.stdout) == (2, "")
         assert said in refused.stderr
+    path.unlink()
+    for more, said in (
+        (("--frictions", "a,b"), "friction is ['a', 'b']; give real numbers"),
+        (("--count", "100000000"), "100000000 is not in the range 2<=x<=10000"),
+    ):
+        assert said in run(*words, *more).stderr

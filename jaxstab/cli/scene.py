@@ -421,7 +421,9 @@ def check(in_full: bool, certificate: Path | None, **given: Any) -> int:
     endings=(".h5", ".nc"),
     help="Simulate a map of walls around the stable ones into this netCDF-4 file instead.",
 )
-@click.option("--count", type=click.IntRange(2), help="Walls along each axis of it; default: 60.")
+@click.option(
+    "--count", type=click.IntRange(2, 10_000), help="Walls along each axis of it; default: 60."
+)
 @click.option("--frictions", help="LOW:HIGH:COUNT or V,V,... in N: its third axis.")
 @executor_options
 def contact(output: Path | None, count: int | None, frictions: str | None, **given: Any) -> int:
@@ -445,7 +447,7 @@ def contact(output: Path | None, count: int | None, frictions: str | None, **giv
     require_free(output)
     keep_programs()
     warn(*scene.unusual(), *delay_notes(scene))
-    forces = None if frictions is None else [*map(float, listed("friction", frictions))]
+    forces = None if frictions is None else listed("friction", frictions)
     planned = map_contacts(scene, count or 60, forces)
     assert scene.contact is not None  # there is a map
     axes = " x ".join(f"{length} {name}" for name, length in planned.sizes.items())

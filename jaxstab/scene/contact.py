@@ -118,7 +118,9 @@ def simulated_map(scene: Scene, stiffness: Any, damping: Any, **start: Any) -> C
     return contact_map(loop_of(scene.at_longest_delay), stiffness, damping, **given)
 
 
-def map_contacts(scene: Scene, count: int, friction: list[float] | None = None) -> "Dataset":
+def map_contacts(
+    scene: Scene, count: int, friction: Sequence[float | str] | None = None
+) -> "Dataset":
     """Return a map of walls around the stable ones, from the scene's own start, not yet computed.
 
     ``friction``, in the unit of the scene's force, is a dimension of the table if it is given.
