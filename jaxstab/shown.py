@@ -143,7 +143,8 @@ def call_text(name: str, arguments: Mapping[str, Any]) -> str:
 
 
 def table_text(rows: Sequence[Sequence[str]]) -> str:
-    """Return rows of cells as lines with aligned columns."""
+    """Return rows of cells, each printable, as lines with aligned columns."""
+    rows = [[*map(printable, row)] for row in rows]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return "\n".join(
         "  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()

@@ -458,6 +458,8 @@ def test_55_urdf_is_read_without_its_meshes_and_slides_have_units_of_their_own(
     assert (joint["damping"], joint["friction"], joint["kp"]) == (2.0, 4.0, 1000.0)
     assert (joint["units"]["kp"], joint["units"]["friction"]) == ("N/m", "N")
     assert "slide  slides  3" in run(*command).stdout
+    (tmp_path / "lift.urdf").write_text(URDF.replace('"slide"', '"&#155;2J&#127;"'))  # it clears
+    assert "\\x9b2J\\x7f  slides  3" in run(*command[:2], *command[4:]).stdout
 
 
 def test_55_the_page_shows_what_the_command_prints(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -183,7 +183,8 @@ def warn(*unusual: str) -> None:
     """Print warnings about unusual values of a scene."""
     if unusual:
         words = "; ".join(unusual)
-        click.echo(f"jaxstab: warning: {words}{'' if words.endswith('?') else '.'}", err=True)
+        words = printable(f"{words}{'' if words.endswith('?') else '.'}")
+        click.echo(f"jaxstab: warning: {words}", err=True)
 
 
 def sentence_of(error: OSError) -> str:
@@ -346,8 +347,7 @@ def _table(rows: list[_Row], paths: list[str]) -> str:
     """Return the main numbers of each scene, in columns, or the reason why it was refused."""
     paths = list(filter(_is_main, paths))
     plain = (path.removeprefix("walls.").replace("_", " ").replace(".", ": ") for path in paths)
-    cells = (map(printable, row.cells(paths, 1)) for row in rows)
-    return table_text([["scene", *plain, ""], *map(list, cells)])
+    return table_text([["scene", *plain, ""], *(row.cells(paths, 1) for row in rows)])
 
 
 def _is_main(path: str) -> bool:

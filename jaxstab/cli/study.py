@@ -22,7 +22,7 @@ from jaxstab.cli.options import (
 )
 from jaxstab.cli.scene import mechanics_options, scene_command, tables_of
 from jaxstab.conventions import Verdict
-from jaxstab.shown import printable, rounded_text, table_text
+from jaxstab.shown import rounded_text, table_text
 from jaxstab.tables import computed, require_free, write
 
 if TYPE_CHECKING:
@@ -191,7 +191,7 @@ def _text(table: "Dataset", limit: str = "") -> str:
 
 def _cell(value: Any, way: str) -> str:
     if isinstance(value, str):
-        return printable(value)
+        return value
     return rounded_text(value, 6, way) if isfinite(value) else f"{value:g}"
 
 
