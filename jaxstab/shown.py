@@ -41,8 +41,8 @@ def rounded_text(
     value: Any, digits: int, rounding: str = ROUND_HALF_EVEN, *, factor: int = 1
 ) -> str:
     """A number times a factor in significant digits, without zeros at the end; see ``decimal``."""
-    # Of 11 digits: 2999.9999999999 is 3000 but for rounding.
-    exact = Context(prec=max(11, digits)).multiply(Decimal(value), factor)
+    # 2999.9999999999 is 3000 but for rounding, if few digits are asked for.
+    exact = Context(prec=max(11, digits + 4)).multiply(Decimal(value), factor)
     rounded = exact.normalize(Context(prec=digits, rounding=rounding))
     if not rounded:
         return "0"

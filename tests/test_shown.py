@@ -4,7 +4,7 @@ import pickle
 import re
 from base64 import b64decode
 from dataclasses import replace
-from decimal import Decimal
+from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 from fractions import Fraction
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 import jaxstab
 from jaxstab.region import RegionStatus
 from jaxstab.region.stable_set import GainNames, limits_text
-from jaxstab.shown import text_with_bound
+from jaxstab.shown import rounded_text, text_with_bound
 
 GOLDEN = Path(__file__).parents[1] / "data" / "golden" / "atlas-v4.h5"
 OMEGA = {"device_mass": 0.25, "device_damping": 0.1, "sample_time": 1e-3, "delay": 1e-3}
@@ -37,6 +37,12 @@ def test_what_is_printed_with_a_bound_holds_all_that_the_bound_held(
     digits, bound = text_with_bound(value, error).split(" +/- ")
     moved = abs(Fraction(Decimal(digits)) - Fraction(value))
     assert moved + Fraction(error) <= Fraction(Decimal(bound))
+
+
+def test_ten_digits_of_a_limit_are_rounded_inwards() -> None:
+    assert rounded_text(12.814606139755455, 10, ROUND_FLOOR) == "12.81460613"
+    assert rounded_text(0.03509350341001, 10, ROUND_CEILING) == "0.03509350342"
+    assert rounded_text(2999.9999999999995, 10, ROUND_FLOOR) == "3000"  # but for rounding
 
 
 def test_a_radius_prints_its_bound_and_how_it_is_known() -> None:
