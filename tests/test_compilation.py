@@ -373,6 +373,36 @@ def test_a_cache_is_switched_on_after_the_first_program_too(tmp_path: Path) -> N
         jaxstab.use_compilation_cache(before)
 
 
+COMMAND = """
+import jax
+from jaxstab.cli import main, options
+from jaxstab.scene import scene
+
+def computing(kind):
+    options.keep_programs()
+    jax.jit(lambda x: x + 7.0)(1.0)
+    return {}
+
+scene.presets = computing
+main.main(["scene", "presets"])
+"""
+
+
+def test_a_damaged_program_is_compiled_again_and_the_remedy_is_named(tmp_path: Path) -> None:
+    told = []
+    for _ in range(2):
+        command = [sys.executable, "-c", COMMAND]
+        given: Any = {"env": os.environ | {"JAX_COMPILATION_CACHE_DIR": str(tmp_path)}}
+        done = subprocess.run(command, capture_output=True, text=True, check=False, **given)
+        assert done.returncode == 0
+        told.append(done.stderr)
+        for entry in tmp_path.glob("*-cache"):
+            entry.write_bytes(entry.read_bytes()[:100])  # as a full disk leaves it
+    assert told[0] == ""
+    assert told[1].endswith(f"; delete {tmp_path}.\n")
+    assert told[1].count("\n") == 1
+
+
 def test_a_folder_that_cannot_be_made_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(OSError, match="file"):

@@ -41,7 +41,7 @@ class OneSentence(click.Group):
                 raise OSError("stdout is closed; redirect it to a file, or to /dev/null.")
             with prompt_interrupts(), warnings.catch_warnings():
                 warnings.filterwarnings("ignore", "delay is ")  # scenes say so themselves
-                warnings.showwarning = lambda words, *_, **__: scene.warn(str(words).rstrip("."))
+                warnings.showwarning = lambda words, *_, **__: scene.warn(_with_remedy(str(words)))
                 code = run()
             stdout.flush()
         except click.ClickException as error:
@@ -86,6 +86,13 @@ class OneSentence(click.Group):
             return f" It is an option of {', '.join(users)}." if users else ""
         several = (option.metavar for option in users.values() if option.nargs > 1)
         return "".join(f" Its values are {metavar}." for metavar in [*several][:1])
+
+
+def _with_remedy(words: str) -> str:
+    """A warning; JAX keeps a program that was written in part, and has no remedy."""
+    is_damaged = words.startswith("Error reading persistent compilation cache")
+    remedy = f"; delete {os.environ.get('JAX_COMPILATION_CACHE_DIR')}" if is_damaged else ""
+    return f"{words.rstrip('.')}{remedy}"
 
 
 class _NoReader(Exception):
