@@ -402,6 +402,28 @@ def test_55_a_check_of_stable_gains_has_the_factors_of_each_and_of_both() -> Non
     assert "factors" not in str(answers["gains"]["b"])
 
 
+def test_the_least_factor_is_told_where_the_largest_is_as_good_as_unlimited() -> None:
+    period, environment, late, damping = (
+        1e-3,
+        1e4,
+        3,
+        30.0,
+    )  # D = Ke T w: of any mass but for float64
+    loop = {"environment": environment, "sample_time": period, "delay_samples": late}
+    tables = {"loop": {"kind": "admittance", **loop}}
+    tables["gains"] = {"a": {"mass": 1.0, "damping": damping}}
+    (least, largest) = (
+        GainScene.from_table(tables).answer("check").values["gains"]["a"].values["mass_factors"]
+    )
+    assert largest > 1e12
+    printed = str(jaxstab.admittance(**loop).margins(mass=1.0, damping=damping))
+    assert re.search(r"mass \(kg\) +0\.0125 .* 0\.0125 to ", printed)
+    for mass, is_stable in ((least * 1.001, True), (least * 0.999, False)):
+        motion = np.polymul([mass / period, damping - mass / period], [1.0, -1.0])
+        poles = np.roots(np.polyadd([*motion, *[0.0] * late], [environment * period, 0.0]))
+        assert (np.abs(poles).max() < 1.0) == is_stable
+
+
 def test_54_a_check_has_verdict_radius_and_all_stable_values() -> None:
     """A device of 25 g, a window of 11: two intervals of kp at this ki, by a recursion as well."""
     controller = {"sample_time": 1e-3, "velocity": {"window_samples": 11}}

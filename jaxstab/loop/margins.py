@@ -154,8 +154,8 @@ def many_text(title: str, kind: str, heads: Sequence[str], rows: Sequence[Sequen
     return f"{title} of {len(rows)} {kind}\n{table}{more}"
 
 
-def _interval(low: float, high: float) -> tuple[str, str]:
-    extent = float(high) - float(low)
+def _interval(low: float, high: float, most: float = inf) -> tuple[str, str]:
+    extent = min(float(high) - float(low), most)
     least, largest = without_noise((low, high), extent).tolist()
     return _least(least), _largest(largest)
 
@@ -346,10 +346,11 @@ class GainMargins(NamedTuple):
         """A table: a row for each gain of one pair, or one for each of several pairs."""
         codes = verdict_words(self.verdict)
         pairs = np.stack(self[1:6], axis=-2).reshape(-1, 5, 2).tolist()
-        limits = [[_interval(*ends) for ends in own[:2]] for own in pairs]
+        most = 1.0  # of an extent: an end may be as good as unlimited, and the other one is not 0
+        text = [[_interval(low, high, most) for low, high in own] for own in pairs]
+        limits = [own[:2] for own in text]
         factors = [
-            ["none" if isnan(ends[0]) else " to ".join(_interval(*ends)) for ends in own[2:]]
-            for own in pairs
+            ["none" if "none" in ends else " to ".join(ends) for ends in own[2:]] for own in text
         ]
         names = *self.names, "both"
         if np.ndim(self.verdict) == 0:

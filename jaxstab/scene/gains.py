@@ -293,7 +293,7 @@ def _checked(scene: GainScene, pair: dict[str, float]) -> GainAnswer:
         )
         names = (f"{name}_factors" for name in (*pair, "both"))
         for name, (low, high) in zip(names, scene.loop.margins(**pair)[3:6], strict=True):
-            margins[name] = (*without_noise([low, high], high - low).tolist(),)
+            margins[name] = (*without_noise([low, high], 1.0).tolist(),)
     radii = {"spectral_radius": float(radius.value), "radius_error": float(radius.error)}
     values = pair | {"verdict": verdict} | radii | margins | found.values
     return replace(found, values=values, is_stable=verdict == Verdict.STABLE)
