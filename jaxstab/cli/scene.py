@@ -15,6 +15,7 @@ import click
 
 import jaxstab
 from jaxstab import scene as scenes
+from jaxstab import tables as t
 from jaxstab.cli.options import (
     at_work,
     computing,
@@ -33,16 +34,6 @@ from jaxstab.cli.options import (
 )
 from jaxstab.durable import publish
 from jaxstab.shown import printable, table_text
-from jaxstab.tables import (
-    computed,
-    parsed,
-    read_table,
-    require_free,
-    unit_of,
-    value_of,
-    with_value,
-    write,
-)
 
 # Options that describe scenes, and the tables of scenes that files and options make.
 
@@ -96,7 +87,7 @@ def _option(name: str, entry: Field[Any], *, is_velocity: bool) -> click.Option:
 
     kind = get_args(entry.type)[0] if isinstance(entry.type, UnionType) else entry.type
     reads: dict[str, Any] = {"type": kind}
-    words, unit = entry.metadata["words"], unit_of(entry)
+    words, unit = entry.metadata["words"], t.unit_of(entry)
     words = f"velocity: {words}" if is_velocity else words
     if unit != "1":
         turning = Units.ROTATION.unit(unit)
@@ -167,7 +158,7 @@ def tables_of(given: dict[str, Any]) -> dict[str, dict[str, Any]]:
             "no scene is given; give the FILE of one (jaxstab scene init -o scene.toml writes an "
             "example), or options, such as --device omega --sample-time 0.001 --delay 0.001."
         )
-    tables = {str(file): read_table(file, "scene") for file in files} or {"": {}}
+    tables = {str(file): t.read_table(file, "scene") for file in files} or {"": {}}
     return {source: _merged(table, given) for source, table in tables.items()}
 
 
@@ -215,9 +206,9 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
         chosen["walls", name] = {"stiffness": stiffness, "damping": damping}
     own = {path[1] for path in chosen if path[0] == "controller"}
     if "velocity" in own:  # in place of all that the file says
-        table = with_value(table, "controller.velocity", {}, ["controller", "velocity"])
+        table = t.with_value(table, "controller.velocity", {}, ["controller", "velocity"])
     for path, value in chosen.items():
-        table = with_value(table, ".".join(path), value, path)
+        table = t.with_value(table, ".".join(path), value, path)
     if {"delay", "delay_samples"} & own:  # in either unit
         is_kept = "constant" if not chosen.get(("controller", "lost_samples")) else None
         table["controller"] = {
@@ -230,7 +221,7 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
         if path in options:
             option = options[path].replace("_", "-")
             raise click.UsageError(f"--set {name} is given beside --{option}; give one of them.")
-        table = with_value(table, name, value_of(value), path)
+        table = t.with_value(table, name, t.value_of(value), path)
     return table
 
 
@@ -444,7 +435,7 @@ def contact(output: Path | None, count: int | None, frictions: str | None, **giv
     from jaxstab.scene.study import listed
 
     scene = scene_of(given, "a map")
-    require_free(output)
+    t.require_free(output)
     keep_programs()
     warn(*scene.unusual(), *delay_notes(scene))
     forces = None if frictions is None else listed("friction", frictions)
@@ -454,8 +445,8 @@ def contact(output: Path | None, count: int | None, frictions: str | None, **giv
     words = f"{planned.kind.size:,} contacts of {scene.contact.duration:g} s"
     click.echo(f"jaxstab: {axes}: {words}, simulated, not proved", err=True)
     with computing(given):
-        table = computed(planned)
-    write(table, output)
+        table = t.computed(planned)
+    t.write(table, output)
     rests = float((table.kind == jaxstab.results.ContactKind.RESTS).mean())
     click.echo(f"{output}: {100.0 * rests:.1f} % of the contacts come to rest")
     return 0
@@ -514,7 +505,7 @@ def init(output: Path | None, kind: str) -> None:
     if output is None or str(output) == "-":
         click.echo(text, nl=False)
         return
-    require_free(output)
+    t.require_free(output)
     publish(text.encode(), output)
     click.echo(output)
 
@@ -701,7 +692,7 @@ def identify(
             device = fits.identify(**columns, spring=spring)
     units = Units.ROTATION if turns else Units.LINE
     scene = fits.identified_scene(device, units, log.name)
-    unusual = scenes.Scene.from_table(parsed(scene)).unusual()
+    unusual = scenes.Scene.from_table(t.parsed(scene)).unusual()
     warn(*filter(None, [clash, device.warning]), *unusual)
     if plot:
         from jaxstab.pictures.scene import identified_figure

@@ -38,6 +38,7 @@ from jaxtyping import Float64
 from numpy.typing import NDArray
 
 import jaxstab
+from jaxstab import tables as t
 from jaxstab.batches import alike
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gain, HapticLoop, Loop, limits_of
@@ -50,21 +51,6 @@ from jaxstab.scene.loops import loop_of
 from jaxstab.scene.scene import INNER, TABLES, Scene, Units
 from jaxstab.scene.scene import walls_in as checked_walls
 from jaxstab.shown import shortened
-from jaxstab.tables import (
-    Interval,
-    Table,
-    Variable,
-    check_keys,
-    checked_label,
-    columns_of,
-    computed,
-    read,
-    read_table,
-    table_of,
-    unit_of,
-    with_value,
-    xarray_module,
-)
 
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset
@@ -84,20 +70,20 @@ _NUMBERS = {  # keys of a scene that are numbers of a loop: its fields
     "controller.delay_samples": "delay_samples",
 }
 
-ANSWERS: dict[str, dict[str, Variable]] = {  # beside limits
-    "verdict": {"verdict": Variable("whether the wall is stable, proved", "1", Verdict)},
+ANSWERS: dict[str, dict[str, t.Variable]] = {  # beside limits
+    "verdict": {"verdict": t.Variable("whether the wall is stable, proved", "1", Verdict)},
     "margins": {
-        "stiffness_gain": Variable("factor by which the stiffness may grow"),
-        "damping_gain": Variable("factor by which the damping may grow"),
-        "extra_delay": Variable("delay that may be added", "s"),
+        "stiffness_gain": t.Variable("factor by which the stiffness may grow"),
+        "damping_gain": t.Variable("factor by which the damping may grow"),
+        "extra_delay": t.Variable("delay that may be added", "s"),
     },
     "settling_time": {
-        "settling_time": Variable("time to settle to 2 percent", "s"),
-        "settling_status": Variable("what is known of the settling time", "1", SettlingStatus),
+        "settling_time": t.Variable("time to settle to 2 percent", "s"),
+        "settling_status": t.Variable("what is known of the settling time", "1", SettlingStatus),
     },
     "spectral_radius": {
-        "spectral_radius": Variable("largest modulus of the poles, per sample"),
-        "spectral_radius_error": Variable("proved bound of its error"),
+        "spectral_radius": t.Variable("largest modulus of the poles, per sample"),
+        "spectral_radius_error": t.Variable("proved bound of its error"),
     },
 }
 
@@ -158,7 +144,7 @@ def study(
     table, _ = plan_study(
         of, over, answers=answers, walls=walls, samples=samples, seed=seed, part=part
     )
-    return computed(table)
+    return t.computed(table)
 
 
 def shares(study: "Dataset", *, confidence: float = 0.95) -> "Dataset":
@@ -201,7 +187,7 @@ def shares(study: "Dataset", *, confidence: float = 0.95) -> "Dataset":
     def ends(stable: Any) -> tuple[float, float]:
         return (*binomtest(int(stable), count).proportion_ci(confidence, "wilson"),)
 
-    xarray = xarray_module()
+    xarray = t.xarray_module()
     of_each = partial(xarray.apply_ufunc, ends, vectorize=True, output_core_dims=[[], []])
     (low, _), (_, high) = of_each(stable), of_each(stable + undecided)
     return xarray.Dataset(
@@ -275,7 +261,7 @@ def limit_in(study: "Dataset") -> str | None:
 
 
 def _require_table(study: Any) -> None:
-    if not isinstance(study, xarray_module().Dataset):
+    if not isinstance(study, t.xarray_module().Dataset):
         raise TypeError(
             f"study is {shortened(study)}; give the xarray.Dataset of jaxstab.study or of its file."
         )
@@ -364,7 +350,7 @@ def merged(paths: Sequence[Path]) -> "Dataset":
     if not paths:
         raise ValueError("no file is given; give those of all parts.")
     for path in paths:
-        table = read(path)
+        table = t.read(path)
         found = re.fullmatch(part, str(table.attrs.pop("part", "")))
         if found is None:
             raise ValueError(f"{path} is no part of a study; give the files that --part wrote.")
@@ -383,7 +369,7 @@ def merged(paths: Sequence[Path]) -> "Dataset":
         raise ValueError(f"part {missing} of {count} is missing; give the files of all parts.")
     tables = [table for _, (_, table) in sorted(parts.items())]
     same = {"data_vars": "minimal", "coords": "minimal", "compat": "override", "join": "exact"}
-    return xarray_module().concat(tables, along, combine_attrs="override", **same)
+    return t.xarray_module().concat(tables, along, combine_attrs="override", **same)
 
 
 # Values: lists, and draws from distributions.
@@ -458,7 +444,7 @@ def distribution_of(text: str) -> Any:
     kind, *parts = text.split(":")
     if kind == "csv" and len(parts) >= 2:
         file, column = ":".join(parts[:-1]), parts[-1]
-        values = tuple(columns_of(file, [column])[column])
+        values = tuple(t.columns_of(file, [column])[column])
         if not values:
             raise ValueError(f"{file} has no rows below its names; give measured values.")
         return Column(file, column, values)
@@ -547,7 +533,7 @@ def _columns(
     source: "_Source", given: Mapping[str, Any], samples: int, seed: int
 ) -> tuple[Columns, list[str]]:
     """The columns that vary, those of lists first, and notes on the draws."""
-    made, columns, notes = xarray_module().DataArray, Columns(), list[str]()
+    made, columns, notes = t.xarray_module().DataArray, Columns(), list[str]()
     for key, own in sorted(given.items(), key=lambda pair: is_distribution(pair[1])):
         name, below = key.replace(".", "_"), 0.0
         if is_distribution(own):
@@ -610,7 +596,7 @@ def _checked_walls(walls: Mapping[str, tuple[float, float]]) -> dict[str, tuple[
         if not has_shape(wall, 2):
             raise TypeError(f"wall {name} is {shortened(wall)}; give its K and B.")
     return {
-        checked_label(name): (
+        t.checked_label(name): (
             checked_number(f"the stiffness of wall {name}", stiffness),
             checked_number(f"the damping of wall {name}", damping),
         )
@@ -624,7 +610,7 @@ def _wanted(
     """Return the answers that are wanted, checked, each once."""
     wanted = answers or ("limits", *(["verdict"] if gains else []))
     wanted = [wanted] if isinstance(wanted, str) else wanted
-    check_keys("answers", map(str, wanted), [*known])
+    t.check_keys("answers", map(str, wanted), [*known])
     of_walls = [name for name in wanted if name != "limits"]
     if of_walls and not gains:
         raise ValueError(f"answers has {of_walls[0]}, which is of walls; give walls.")
@@ -641,7 +627,7 @@ def _table_of(source: Any) -> Any:
     if isinstance(source, Mapping):
         return dict(source)
     if isinstance(source, str | PathLike):
-        return read_table(source, "scene")
+        return t.read_table(source, "scene")
     raise TypeError(f"of is {shortened(source)}; give a scene (file or tables) or a HapticLoop.")
 
 
@@ -662,14 +648,14 @@ class _Source:
         return scene if isinstance(scene, GainScene) else None
 
     @property
-    def answers(self) -> dict[str, dict[str, Variable]]:
+    def answers(self) -> dict[str, dict[str, t.Variable]]:
         """The answers that may be asked for, by name."""
-        (first, second), limits = self.gains, dict[str, Variable]()
+        (first, second), limits = self.gains, dict[str, t.Variable]()
         for own, other in ((first, second), (second, first)):
             name = f"{own.sense} {own.name}"
-            limits[name.replace(" ", "_")] = Variable(f"{name} of stable gains", own.unit)
-            limits[f"at_{other.name}"] = Variable(f"{other.name} at the {name}", other.unit)
-        limits["limits_status"] = Variable("what is known of the limits", "1", RegionStatus)
+            limits[name.replace(" ", "_")] = t.Variable(f"{name} of stable gains", own.unit)
+            limits[f"at_{other.name}"] = t.Variable(f"{other.name} at the {name}", other.unit)
+        limits["limits_status"] = t.Variable("what is known of the limits", "1", RegionStatus)
         every = {"verdict": ANSWERS["verdict"], "limits": limits, **ANSWERS}
         names = ("verdict", "limits", "spectral_radius") if self.of_gains else every
         return {name: every[name] for name in names}
@@ -712,7 +698,7 @@ class _Source:
             match self.table.get(section):
                 case {**keys} if isinstance(keys.get(name), list | tuple):
                     with suppress(ValueError):  # the scene refuses it later
-                        low, high = Interval("")(keys[name])
+                        low, high = t.Interval("")(keys[name])
                         ranges |= {key: f"uniform:{low!r}:{high!r}"} if low < high else {}
         return ranges
 
@@ -723,7 +709,7 @@ class _Source:
                     f"{key} cannot vary in a study of a loop; give a scene, of which the numbers "
                     "of its filters and device can, or ask limits_of for a list of loops."
                 )
-            check_keys("", [key], [*self.numbers, "sample_time"])
+            t.check_keys("", [key], [*self.numbers, "sample_time"])
         elif (section := key.partition(".")[0]) in ("walls", "gains"):
             what = "pair of gains" if section == "gains" else "wall"
             raise ValueError(f"{key} cannot vary in a study; give a {what} for each value.")
@@ -748,7 +734,7 @@ class _Source:
             table = with_value(table, "controller.velocity", {}, ["controller", "velocity"])
         for key, value in values.items():
             is_whole = isinstance(value, float) and value.is_integer()  # as a window in samples
-            table = with_value(table, key, int(value) if is_whole else value, key.split("."))
+            table = t.with_value(table, key, int(value) if is_whole else value, key.split("."))
         return any_scene(table)
 
     def check(self, columns: Columns) -> list[str]:
@@ -826,7 +812,7 @@ class _Block:
     answers: tuple[str, ...]
 
     @property
-    def variables(self) -> dict[str, Variable]:
+    def variables(self) -> dict[str, t.Variable]:
         """The variables that the block returns; all but limits are of walls."""
         unit = self.source.units.unit
         return {
@@ -883,7 +869,7 @@ class _Block:
 
 def _table(block: _Block, columns: Columns, gains: Mapping[str, Any], size: int) -> "Dataset":
     """Return the answers to be computed in blocks, with what varies and walls as coordinates."""
-    table = table_of(block, columns, block.variables, size, {WALL: len(gains)})
+    table = t.table_of(block, columns, block.variables, size, {WALL: len(gains)})
     labels: dict[str, Any] = {
         str(own.name): (own.dims, own.values, *_described(key)) for key, own in columns.items()
     }
@@ -895,7 +881,7 @@ def _table(block: _Block, columns: Columns, gains: Mapping[str, Any], size: int)
     unit = block.source.units.unit
     return table.assign_coords(
         {
-            name: (along, values, Variable(words, unit(of_line)).attributes)
+            name: (along, values, t.Variable(words, unit(of_line)).attributes)
             for name, (along, values, words, of_line) in labels.items()
         }
     )
@@ -906,11 +892,11 @@ def _described(key: str) -> tuple[str, str]:
     of_loops = {field: own for own, field in reversed(_NUMBERS.items())}
     *_, section, name = ["controller", *of_loops.get(key, key).split(".")]
     section = key.split(".")[-3] if section.isdigit() else section
-    table = {**TABLES, **INNER}.get(section, Table)
+    table = {**TABLES, **INNER}.get(section, t.Table)
     entry = {entry.name: entry for entry in fields(table)}.get(name)
     if key.startswith("loop.second."):
         words, unit = _described(key.removeprefix("loop.").replace("second", "device"))
         return f"{words}, the second one", unit
     if key.startswith("loop."):
         return KEYS.get(name, (key, ""))
-    return (key, "1") if entry is None else (entry.metadata["words"] or key, unit_of(entry))
+    return (key, "1") if entry is None else (entry.metadata["words"] or key, t.unit_of(entry))
