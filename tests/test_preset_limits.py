@@ -13,12 +13,12 @@ from scipy.linalg import expm
 from jaxstab.conventions import Verdict
 from jaxstab.loop import HapticLoop
 from jaxstab.scene import Scene, loop_of
-from jaxstab.scene.scene import presets
+from jaxstab.scene.scene import numbers_in, presets, values_in
 
 Floats = NDArray[np.float64]
 
-DEVICES = [name for name, preset in presets("devices").items() if "mass" in preset.numbers]
-SOFTWARE = [name for name, preset in presets("software").items() if preset.numbers]
+DEVICES = [name for name, preset in presets("devices").items() if "mass" in preset]
+SOFTWARE = [name for name, preset in presets("software").items() if numbers_in(preset)]
 HANDS = many(56, small=3)  # at full size 1,008 walls of each preset
 NEXT_TO_IT = 0.02  # of the largest stiffness: how far from it walls are simulated
 
@@ -32,7 +32,7 @@ class Walls(NamedTuple):
 
 
 def preset_loop(device: str, software: str, delay: int) -> HapticLoop:
-    meant = presets("software")[software].values(("sample_time",)).get("sample_time", 1e-3)
+    meant = values_in(presets("software")[software], ["sample_time"]).get("sample_time", 1e-3)
     velocity = {"preset": software}
     controller = {"sample_time": meant, "delay_samples": float(delay), "velocity": velocity}
     return loop_of(Scene.from_table({"device": {"preset": device}, "controller": controller}))

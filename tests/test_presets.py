@@ -12,46 +12,47 @@ from jaxstab.model.filters import exact_chain, rounded
 from jaxstab.scene import Scene
 from jaxstab.scene.scene import (
     PositionTable,
-    Preset,
     VelocityTable,
+    numbers_in,
     presets,
+    values_in,
 )
 
 DATA = Path(__file__).parents[1] / "data" / "presets"
 ALL = {**presets("devices"), **presets("software")}
-DOCUMENTED = [name for name, preset in presets("software").items() if preset.numbers]
+DOCUMENTED = [name for name, preset in presets("software").items() if numbers_in(preset)]
 
 
 @pytest.mark.parametrize("name", ALL)
 def test_each_preset_has_a_title_and_each_number_a_unit_a_source_and_a_date(name: str) -> None:
-    preset: Preset = ALL[name]
-    assert preset.title
-    assert preset.numbers or preset.note
-    for number in preset.numbers.values():
-        assert number.unit
-        assert number.source
-        assert number.date[:4].isdigit()
-    assert str(preset.lines())
+    preset = ALL[name]
+    assert preset["title"]
+    assert numbers_in(preset) or preset["note"]
+    for number in numbers_in(preset).values():
+        assert [*number] == ["value", "unit", "source", "date"]
+        assert number["unit"]
+        assert number["source"]
+        assert number["date"][:4].isdigit()
 
 
 def test_what_no_maker_publishes_is_called_assumed() -> None:
     for name in ("omega", "falcon"):
-        numbers = presets("devices")[name].numbers
-        assert numbers["mass"].source == numbers["damping"].source == "assumed"
-    assert "assumed" in presets("software")["force-dimension-sdk"].numbers["window"].source
+        preset = presets("devices")[name]
+        assert preset["mass"]["source"] == preset["damping"]["source"] == "assumed"
+    assert "assumed" in presets("software")["force-dimension-sdk"]["window"]["source"]
     assert "assumed" in str(VelocityTable.from_table({"preset": "force-dimension-sdk"}))
 
 
 def test_the_limits_of_chai3d_are_there_for_each_device_but_none_is_used() -> None:
     for preset in presets("devices").values():
-        assert {"largest_stiffness", "largest_damping"} <= preset.numbers.keys()
+        assert {"largest_stiffness", "largest_damping"} <= preset.keys()
     device = Scene.from_table({"device": {"preset": "omega"}, "controller": {"sample_time": 1e-3}})
     assert device.walls == {}
 
 
 @pytest.mark.parametrize("name", DOCUMENTED)
 def test_each_documented_estimator_makes_a_scene_at_its_own_rate(name: str) -> None:
-    meant = presets("software")[name].values(("sample_time",)).get("sample_time", 1e-3)
+    meant = values_in(presets("software")[name], ["sample_time"]).get("sample_time", 1e-3)
     scene = Scene.from_table(
         {
             "device": {"preset": "omega"},

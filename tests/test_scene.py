@@ -75,7 +75,7 @@ def test_a_preset_gives_what_the_table_does_not() -> None:
 
 
 def test_a_device_of_which_no_mass_is_known_asks_for_one() -> None:
-    assert "mass" not in presets("devices")["sigma.7"].numbers
+    assert "mass" not in presets("devices")["sigma.7"]
     with pytest.raises(ValueError, match=r"^device.mass is missing; no source has that of"):
         Scene.from_table(with_value("device", {"preset": "sigma.7"}))
     table = with_value("device", {"preset": "sigma.7", "mass": 0.4, "damping": 0.5})

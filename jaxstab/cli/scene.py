@@ -513,12 +513,18 @@ def init(output: Path | None, kind: str) -> None:
 @scene.command()
 def presets() -> None:
     """List devices and velocity estimators by name: their numbers, and where these are from."""
+    from jaxstab.scene.scene import numbers_in
     from jaxstab.scene.scene import presets as presets_of
 
     for place, kind in (("device", "devices"), ("controller.velocity", "software")):
         for name, preset in presets_of(kind).items():
-            title, *lines = preset.lines()
-            click.echo("\n".join([f'[{place}] preset = "{name}"', f"  {title}", *lines, ""]))
+            lines = [f'[{place}] preset = "{name}"', f"  {preset['title']}"]
+            for key, own in numbers_in(preset).items():
+                value = own["value"] if isinstance(own["value"], list) else f"{own['value']:g}"
+                words = f"{value} {own['unit']}  ({own['source']}; {own['date']})"
+                lines.append(f"  {key.replace('_', ' '):28}{words}")
+            lines += [f"  {preset['note']}"] if "note" in preset else []
+            click.echo("\n".join([*lines, ""]))
 
 
 @scene.command()

@@ -10,7 +10,7 @@ from jaxstab.model.filters import Velocity, exact_chain, rounded
 from jaxstab.scene import Scene
 from jaxstab.scene.answers import delay_notes
 from jaxstab.scene.loops import hands_of, is_one_mass, loop_of, wall_region, walls_of
-from jaxstab.scene.scene import FINGER, Contact, Hand, Units, VelocityTable, presets
+from jaxstab.scene.scene import FINGER, Contact, Hand, Units, VelocityTable, presets, values_in
 
 SCRIPTS = (
     *("plant", "polynomial", "loop", "region", "wall", "contact", "rules", "state"),
@@ -137,7 +137,7 @@ def _coefficients(velocity: Velocity, period: float) -> dict[str, list[float]]:
 def _software() -> list[dict[str, Any]]:
     """Return the velocity estimators of software, as far as their makers document them."""
     keys = ("window", *NO_FILTER)
-    estimators = {name: preset.values(keys) for name, preset in presets("software").items()}
+    estimators = {name: values_in(own, keys) for name, own in presets("software").items()}
     plain: list[dict[str, Any]] = [{"title": "the difference over one sample, as in the paper"}]
     return plain + [{"title": name, **values} for name, values in estimators.items() if values]
 

@@ -1,7 +1,7 @@
 """A haptic scene in SI units: the tables of a TOML file or of options, checked; no JAX here."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from functools import cache
@@ -9,7 +9,7 @@ from importlib.resources import files
 from importlib.resources.abc import Traversable
 from os import PathLike
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 from jaxstab import tables as t
 from jaxstab.model import Filter, Velocity
@@ -42,49 +42,25 @@ class Units(Enum):
 # Devices and software by name: the numbers of data/presets, each with its source.
 
 
-class Sourced(NamedTuple):
-    """A number or a list of coefficients, and where it is from."""
-
-    value: Any
-    unit: str
-    source: str
-    date: str
-
-    def __str__(self) -> str:
-        value = self.value if isinstance(self.value, list) else f"{self.value:g}"
-        return f"{value} {self.unit}  ({self.source}; {self.date})"
-
-
-@dataclass(frozen=True)
-class Preset:
-    """Title, remark (may be empty) and SI numbers of a device or a velocity estimator, by key."""
-
-    title: str
-    note: str
-    numbers: dict[str, Sourced]
-
-    def values(self, keys: tuple[str, ...]) -> dict[str, Any]:
-        """The numbers of those keys that the preset has."""
-        return {name: self.numbers[name].value for name in keys if name in self.numbers}
-
-    def lines(self) -> list[str]:
-        """Return a line for the title, one for each number with its source, and the note."""
-        numbers = [f"  {name.replace('_', ' '):28}{value}" for name, value in self.numbers.items()]
-        return [self.title, *numbers, *([f"  {self.note}"] if self.note else [])]
-
-
 @cache
-def presets(kind: str) -> Mapping[str, Preset]:
-    """Return the "devices", or the velocity estimators of "software", by their names."""
+def presets(kind: str) -> Mapping[str, Mapping[str, Any]]:
+    """Return the "devices", or the velocity estimators of "software", by their names.
+
+    Each has a title, perhaps a note, and by their keys numbers or lists of coefficients: tables of
+    value, unit, source and date.
+    """
     text = (folder_of("presets") / f"{kind}.toml").read_text(encoding="utf-8")
-    return {
-        name: Preset(
-            table.pop("title"),
-            table.pop("note", ""),
-            {key: Sourced(**entry) for key, entry in table.items()},
-        )
-        for name, table in t.parsed(text, f"{kind}.toml: ").items()
-    }
+    return t.parsed(text, f"{kind}.toml: ")
+
+
+def numbers_in(preset: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """The numbers of a preset, by their keys."""
+    return {name: own for name, own in preset.items() if isinstance(own, dict)}
+
+
+def values_in(preset: Mapping[str, Any], keys: Iterable[str]) -> dict[str, Any]:
+    """The values of those keys that a preset has."""
+    return {name: preset[name]["value"] for name in keys if name in preset}
 
 
 def folder_of(name: str) -> Traversable:
@@ -208,10 +184,10 @@ class Device(t.Table):
     @classmethod
     def filled_in(cls, table: Mapping[str, Any]) -> Mapping[str, Any]:
         """Take the values that are missing in the table from its preset."""
-        preset = presets("devices").get(str(table["preset"])) if "preset" in table else None
+        preset = presets("devices").get(str(table.get("preset")))
         if preset is None:
             return table  # a preset that is not known is refused
-        defaults = preset.values(("mass", "damping"))
+        defaults = values_in(preset, ("mass", "damping"))
         if "mass" not in {*defaults, *table}:
             raise ValueError(
                 f"mass is missing; no source has that of the preset {table['preset']!r}, so give "
@@ -343,10 +319,10 @@ class VelocityTable(_TimedTable):
     @classmethod
     def filled_in(cls, table: Mapping[str, Any]) -> Mapping[str, Any]:
         """Take the values that are missing in the table from its preset."""
-        preset = presets("software").get(str(table["preset"])) if "preset" in table else None
+        preset = presets("software").get(str(table.get("preset")))
         if preset is None:
             return table
-        defaults = preset.values(tuple(entry.name for entry in fields(cls)))
+        defaults = values_in(preset, (entry.name for entry in fields(cls)))
         if "window_samples" in table:
             defaults.pop("window", None)
         if len(table) == 1 and not defaults:
@@ -357,17 +333,18 @@ class VelocityTable(_TimedTable):
         return {**defaults, **table}
 
     @property
-    def preset_numbers(self) -> Mapping[str, Sourced]:
-        """The numbers of the preset by key, each with its source."""
-        return presets("software")[self.preset].numbers if self.preset else {}
+    def of_preset(self) -> Mapping[str, Any]:
+        """The preset."""
+        return presets("software")[self.preset] if self.preset else {}
 
     def __str__(self) -> str:
         words, others = f"preset {self.preset}", list[str]()
-        for name, (value, _, source, _) in self.preset_numbers.items():
+        for name, number in numbers_in(self.of_preset).items():
+            value = number["value"]
             given = getattr(self, name, value)
             if (list(given) if isinstance(value, list) else given) != value:
                 others.append(name)
-            elif "assumed" in source:
+            elif "assumed" in number["source"]:
                 words = f"preset {self.preset}, assumed in part"
         words += f", with another {' and '.join(others)}" if others else ""
         return f"{self.as_velocity()}{f' ({words})' if self.preset else ''}"
@@ -678,13 +655,14 @@ class Scene:
         if 0.0 < (controller.delay_samples or (0.0, 0.0))[1] < 0.01:
             yield f"{words}; one in s is given as delay"
         estimator = controller.velocity
-        meant = estimator.preset_numbers.get("sample_time") if estimator else None
-        if estimator and meant and meant.value != controller.sample_time:
-            own = f"a sample_time of {meant.value:g} s"
+        period = controller.sample_time
+        meant = values_in(estimator.of_preset, ["sample_time"]) if estimator else {}
+        if estimator and meant.get("sample_time", period) != period:
+            own = f"a sample_time of {meant['sample_time']:g} s"
             yield f"the preset {estimator.preset!r} is meant for {own}"
         elif estimator and estimator.numerator and estimator.denominator:
             powers = enumerate(reversed(estimator.numerator))
-            rate = controller.sample_time * sum(power * number for power, number in powers)
+            rate = period * sum(power * number for power, number in powers)
             rate /= sum(estimator.denominator)
             if not 0.5 <= rate <= 2.0:
                 yield (

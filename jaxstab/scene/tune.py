@@ -392,8 +392,7 @@ def known_of(table: Mapping[str, Any]) -> set[str]:
     """The keys of the device of a table, with those that its preset has."""
     device = table.get("device", {})
     own = device if isinstance(device, Mapping) else {}
-    preset = presets("devices").get(str(own.get("preset")))
-    return {*own, *(preset.numbers if preset else ())}
+    return {*own, *presets("devices").get(str(own.get("preset")), ())}
 
 
 @dataclass(frozen=True)
