@@ -799,7 +799,7 @@ def test_51_a_study_that_another_one_finished_meanwhile_is_kept(
         output.write_bytes(b"of another one")
         return real(planned)
 
-    monkeypatch.setattr("jaxstab.cli.study.computed", slower)
+    monkeypatch.setattr("jaxstab.tables.computed", slower)
     result = run("study", desk, "--over", "device.mass=0.1,0.2", "-o", output)
     assert (result.exit_code, result.stdout) == (2, "")
     assert "a.h5: another process has written it meanwhile; remove that file" in result.stderr

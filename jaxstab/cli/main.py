@@ -21,7 +21,7 @@ import click
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import jaxstab
-from jaxstab.cli import plane, scene, study
+from jaxstab.cli import plane, scene
 from jaxstab.cli.options import INTERRUPTED, prompt_interrupts
 from jaxstab.shown import printable
 
@@ -133,7 +133,7 @@ def _drop(stream: Any) -> None:
 
 
 _COMMANDS = (
-    *(scene.limits, scene.check, scene.contact, scene.tune, scene.design, study.study),
+    *(scene.limits, scene.check, scene.contact, scene.tune, scene.design, scene.study),
     *(scene.joints, scene.scene, scene.identify, scene.explore, scene.guard),
     *(plane.region, plane.figure),
 )
