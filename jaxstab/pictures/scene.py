@@ -54,6 +54,7 @@ from jaxstab.pictures.style import (
     raise_powers,
     write_names,
 )
+from jaxstab.scene import loops
 from jaxstab.scene.answers import (
     GIVEN,
     Basis,
@@ -67,19 +68,6 @@ from jaxstab.scene.check import check_walls
 from jaxstab.scene.contact import simulated_map, walls_around
 from jaxstab.scene.gains import GainScene
 from jaxstab.scene.limits import passive_walls
-from jaxstab.scene.loops import (
-    BUT_FOR_DRIFT,
-    at_lowest,
-    common_outline,
-    corner_loops,
-    delays_of,
-    hands_of,
-    is_plain,
-    loop_of,
-    loops_over_delays,
-    wall_region,
-    walls_of,
-)
 from jaxstab.scene.scene import Encoder, Scene, Units
 from jaxstab.scene.study import SAMPLE, limit_in, lists_of, quantiles, shares, walls_in
 from jaxstab.scene.tune import stiffness_over
@@ -98,7 +86,7 @@ _LOOKS: dict[Verdict | str, tuple[str, str, str]] = {  # colour, mark and line o
     Verdict.STABLE: (BLUE, "o", "-"),
     Verdict.UNSTABLE: (RED, "X", ":"),
     Verdict.UNDECIDED: (BLACK, "s", "--"),
-    BUT_FOR_DRIFT: (SKY, "o", "-"),
+    loops.BUT_FOR_DRIFT: (SKY, "o", "-"),
 }
 
 
@@ -139,7 +127,7 @@ def draw_responses(panel: Axes, scene: Scene, checked: dict[str, GainAnswer]) ->
     samples = int(np.clip(longest / period, fewest, most))
     panel.set_prop_cycle(color=_COLOURS)
     for name, wall in checked.items():
-        held = loop_of(scene, wall.worst_hand)
+        held = loops.loop_of(scene, wall.worst_hand)
         spring = held.device.static_stiffness() if held.device else held.hand_stiffness
         if wall.stiffness + spring == 0.0:  # there is no final displacement
             continue
@@ -187,8 +175,8 @@ def scene_figure(scene: Scene | GainScene, answer: GainAnswer | None = None) -> 
     scene = scene.at_longest_delay if is_tuned else scene
     if scene.controller.moves:
         return _moving_figure(scene, walls, basis)
-    loop = loop_of(scene)
-    everything = wall_region(loop)
+    loop = loops.loop_of(scene)
+    everything = loops.wall_region(loop)
     if everything.is_empty:
         raise ValueError("no wall is stable for this scene; there is nothing to draw.")
     region, is_limits = everything.reachable, not (is_tuned or is_check)
@@ -275,7 +263,7 @@ def _gain_figure(scene: GainScene) -> Figure:
 def _write_basis(figure: Figure, scene: Scene, basis: Basis, more: str = "") -> None:
     """Write the assumptions above a picture: the estimator, the device, the delay, the hand."""
     letters, line = 14.0, 0.17  # of a remark, per inch; inches of a line
-    delay, hand = basis.range_of_delays, at_lowest(scene, "")
+    delay, hand = basis.range_of_delays, loops.at_lowest(scene, "")
     remarks = [f"velocity: {basis.velocity}"]
     remarks += [f"delay {delay}" if delay else f"delay: {basis.delay_in_words}"]
     remarks += [remark for remark in (basis.mechanics, basis.postures) if remark]
@@ -291,7 +279,7 @@ def _design_figure(given: Scene, design: GainAnswer) -> Figure:
     scene, basis = given.at_longest_delay, basis_of(given, at_longest=True)
     largest_time = Quantity("s", 4, ROUND_FLOOR)
     room_above = 1.6  # of the stiffness that a design is about
-    units, loop = scene.units, loop_of(scene)
+    units, loop = scene.units, loops.loop_of(scene)
     figure = Figure(figsize=(1.5 * _WIDTH, _HEIGHT), layout="constrained")
     panels = figure.subplots(1, 2, sharey=True)
     wanted, now = design.stiffness, design.now_allowed_stiffness
@@ -333,7 +321,7 @@ def _moving_figure(scene: Scene, walls: Marks, basis: Basis) -> Figure:
     """Draw walls that are proved for every sequence of delays, and those of the scene."""
     figure = Figure(figsize=(_WIDTH, _HEIGHT), layout="constrained")
     panel = figure.subplots()
-    loop = MovingLoop.from_loop(loops_over_delays(scene)[0], **delays_of(scene))
+    loop = MovingLoop.from_loop(loops.loops_over_delays(scene)[0], **loops.delays_of(scene))
     stable = [spot for spot, verdict in walls.values() if verdict == Verdict.STABLE]
     drawn = plot_moving(loop, panel, stable)
     _draw_marks(panel, walls)
@@ -390,14 +378,18 @@ _Area = tuple[Floats, dict[str, Any]]  # the outline (K, B) of a set of stable w
 def _common(scene: Scene) -> _Area:
     """The walls that are stable for the hands at all corners; empty without a range of hands."""
     for_all = "#8bc0e2"  # darker than the stable set
-    outline = common_outline(corner_loops(scene)) if hands_of(scene) else np.zeros((0, 2))
+    outline = (
+        loops.common_outline(loops.corner_loops(scene))
+        if loops.hands_of(scene)
+        else np.zeros((0, 2))
+    )
     label = "stable for the hands at all corners of the range"
     return outline, {"facecolor": for_all, "lw": 0.0, "label": label}
 
 
 def _passive(scene: Scene, loop: HapticLoop) -> _Area:
     # The theorem is of one mass and one difference.
-    outline = passive_walls(loop) if is_plain(loop) else np.zeros((0, 2))
+    outline = passive_walls(loop) if loops.is_plain(loop) else np.zeros((0, 2))
     largest = _LARGEST.words(np.max(outline[:, 0], initial=0.0), scene.units)
     label = plain(f"passive: up to {largest}")
     return outline, {"facecolor": GREEN, "edgecolor": GREEN, "alpha": 0.6, "label": label}
@@ -504,7 +496,7 @@ def comparison_figure(scenes: Mapping[str, Scene]) -> Figure:
     if len({scene.units for scene in scenes.values()}) > 1:
         raise ValueError("linear and rotational scenes cannot share a picture; draw them apart.")
     names, units = list(map(plain, scenes)), next(iter(scenes.values())).units
-    regions = [wall_region(loop_of(scene)).reachable for scene in scenes.values()]
+    regions = [loops.wall_region(loops.loop_of(scene)).reachable for scene in scenes.values()]
     graded = colormaps["viridis"](np.linspace(0.0, 0.9, len(scenes)))
     colours = _COLOURS[: len(scenes)] if len(scenes) <= len(_COLOURS) else list(graded)
     figure = Figure(figsize=_SIZE, layout="constrained")
@@ -587,7 +579,7 @@ REST = "#98d594"
 
 def scene_contacts(scene: Scene) -> Figure:
     """Return the map of simulated contacts of a scene, from its own start, and its walls."""
-    loop, gains, units = loop_of(scene.at_longest_delay), walls_of(scene), scene.units
+    loop, gains, units = loops.loop_of(scene.at_longest_delay), loops.walls_of(scene), scene.units
     walls = walls_around(loop, 60, gains.values())  # along each axis
     (push, speed), contact = scene.start, simulated_map(scene, *walls)
     force = Quantity("N")

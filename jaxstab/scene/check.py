@@ -16,20 +16,10 @@ from jaxstab.loop.margins import wall_frequency_margins
 from jaxstab.motion import Settling as MotionSettling
 from jaxstab.motion import SettlingStatus
 from jaxstab.rounding import EPS
+from jaxstab.scene import loops
 from jaxstab.scene.answers import LABELS, GainAnswer, Part, Quantity, basis_of, line
 from jaxstab.scene.contact import Simulated, contacts_or_reasons
 from jaxstab.scene.limits import StableGains, stable_in_words
-from jaxstab.scene.loops import (
-    OneHand,
-    WallVerdict,
-    corner_loops,
-    hands_of,
-    held_by,
-    masses_of,
-    walls_of,
-    with_delay,
-    worst_on,
-)
 from jaxstab.scene.scene import Scene, Units
 from jaxstab.shown import table_text
 
@@ -143,7 +133,7 @@ class _Wall:
     scene: Scene
     gains: Gains
     loops: list[HapticLoop]
-    worst: WallVerdict
+    worst: loops.WallVerdict
     worst_loop: HapticLoop
 
 
@@ -156,17 +146,20 @@ def check_walls(scene: Scene, *, in_full: bool = True) -> GainAnswer:
     """
     scene.require_walls()
     felt = contacts_or_reasons(scene) if scene.wanted.measures else {}
-    constant = (with_delay(scene, delay) for delay in dict.fromkeys(scene.controller.delays))
-    corners, walls = [loop for own in constant for loop in corner_loops(own)], walls_of(scene)
+    constant = (loops.with_delay(scene, delay) for delay in dict.fromkeys(scene.controller.delays))
+    corners, walls = (
+        [loop for own in constant for loop in loops.corner_loops(own)],
+        loops.walls_of(scene),
+    )
     checked = dict[str, GainAnswer]()
-    for name, (worst, held) in zip(walls, worst_on(scene, [*walls.values()]), strict=True):
+    for name, (worst, held) in zip(walls, loops.worst_on(scene, [*walls.values()]), strict=True):
         wall = _Wall(scene, walls[name], list(dict.fromkeys([*corners, held])), worst, held)
         checked[name] = _checked(wall, felt.get(name), in_full=in_full)
     return GainAnswer({"inputs": basis_of(scene), "walls": checked})
 
 
 def _checked(wall: _Wall, felt: Simulated | str | None, *, in_full: bool) -> GainAnswer:
-    controller, loops, words = wall.scene.controller, len(wall.loops), None
+    controller, count, words = wall.scene.controller, len(wall.loops), None
     answers = dict[str, Any]()
     if wall.worst.drifts:
         words = "left out: nothing holds the position; limits --at-stiffness 0 gives the dampings"
@@ -174,9 +167,9 @@ def _checked(wall: _Wall, felt: Simulated | str | None, *, in_full: bool) -> Gai
         words = "left out: they are of constant delays, but the delay moves"
     elif answers := _measured(wall, in_full=in_full):
         delays = len({loop.delay for loop in wall.loops})
-        kinds = ["hands"] * (delays < loops) + ["constant delays"] * (delays > 1)
+        kinds = ["hands"] * (delays < count) + ["constant delays"] * (delays > 1)
         lost = ", no sample lost" * controller.moves
-        words = f"the worst of {loops} {' and '.join(kinds)}{lost}" if loops > 1 or lost else None
+        words = f"the worst of {count} {' and '.join(kinds)}{lost}" if count > 1 or lost else None
     told = {"measures_are": words if wall.scene.wanted.measures else None}
     values = {**wall.worst.values, **told, **answers, "simulated": felt}
     return GainAnswer(values, is_stable=wall.worst.is_stable)
@@ -193,19 +186,19 @@ def _measured(wall: _Wall, *, in_full: bool) -> dict[str, Any]:
     asked = {name for name in wanted.measures if in_full or name in printed}
     answers = dict[str, Any]()
 
-    def found(name: str, method: Any, loops: Any = wall.loops, **options: Any) -> Any:
+    def found(name: str, method: Any, among: Any = wall.loops, **options: Any) -> Any:
         """A measure for each loop, stacked; None where it is not asked for."""
         is_left_out = wall.worst.verdict == Verdict.UNSTABLE and name in of_stable
         if name not in asked or is_left_out:
             return None
         return tree_map(
             lambda *parts: np.stack(parts),
-            *(method(loop, *wall.gains, **options) for loop in loops),
+            *(method(loop, *wall.gains, **options) for loop in among),
         )
 
-    def hand(number: int) -> OneHand | None:
+    def hand(number: int) -> loops.OneHand | None:
         is_one = wall.worst.worst_hand is None
-        return None if is_one else held_by(wall.loops[number], scene)
+        return None if is_one else loops.held_by(wall.loops[number], scene)
 
     if (margins := found("margins", HapticLoop.margins)) is not None:
         # NaN, of a hand with which the wall is not stable, goes through.
@@ -254,7 +247,7 @@ def _measured(wall: _Wall, *, in_full: bool) -> dict[str, Any]:
         }
     # The range in which the delay may vary above that of the scene, with every hand.
     shortest = [replace(wall.worst_loop, delay=controller.delays[0])]
-    hands, mass = hands_of(scene), masses_of(scene)
+    hands, mass = loops.hands_of(scene), loops.masses_of(scene)
     jitter = found("jitter", HapticLoop.jitter_margin, shortest, hands=hands, mass=mass)
     if jitter is not None:
         extra, words = float(jitter[0]), list[str]()

@@ -25,20 +25,9 @@ from jaxstab.guard.build import CELLS, CONSTANT_CELLS
 from jaxstab.guard.guard import LARGEST_HEADER
 from jaxstab.loop import HapticLoop
 from jaxstab.model import Velocity
+from jaxstab.scene import loops
 from jaxstab.scene.answers import GainAnswer, Quantity, basis_of, blocks_of
 from jaxstab.scene.limits import stable_intervals
-from jaxstab.scene.loops import (
-    OneHand,
-    corner_loops,
-    hands_of,
-    is_one_mass,
-    loop_of,
-    loops_over_delays,
-    masses_of,
-    range_of_hands,
-    walls_of,
-    with_tolerances,
-)
 from jaxstab.scene.scene import Scene, range_in_words
 from jaxstab.shown import printable
 
@@ -58,10 +47,10 @@ def scene_guard(
         raise ValueError(
             f"cells are {','.join(map(str, cells))}; give fewer: the table may have {most} numbers."
         )
-    loop, delays = loops_over_delays(scene)[0], scene.controller.delays
+    loop, delays = loops.loops_over_delays(scene)[0], scene.controller.delays
     is_constant = scene.controller.delay_is == "constant"
     # What postures may make of the mass; samples beside the delay if it is constant, and beyond it.
-    shares, beside = ((0.8, 1.25), 1.0) if is_one_mass(scene) else ((0.96, 1.04), 0.1)
+    shares, beside = ((0.8, 1.25), 1.0) if loops.is_one_mass(scene) else ((0.96, 1.04), 0.1)
     mass, aside = scene.device.effective_mass[0], beside * loop.sample_time
     low, high = (float(f"{share * mass:.12g}") for share in shares)  # 0.056, no digits of rounding
     if delays[0] == delays[1]:
@@ -69,8 +58,8 @@ def scene_guard(
         delays = shortest, delays[0] + aside
     return build_guard(
         loop,
-        range_of_hands(scene),
-        mass=masses_of(scene) or (low, high),
+        loops.range_of_hands(scene),
+        mass=loops.masses_of(scene) or (low, high),
         delay=delays,
         lost=lost or scene.controller.lost_samples,
         constant_delay=is_constant,
@@ -81,7 +70,7 @@ def scene_guard(
 
 def cells_of(scene: Scene) -> tuple[int, int, int]:
     """The usual cells of a guard along mass, delay and damping."""
-    if not is_one_mass(scene):
+    if not loops.is_one_mass(scene):
         return 1, 1, 16
     return CONSTANT_CELLS if scene.controller.delay_is == "constant" else CELLS
 
@@ -104,7 +93,7 @@ def guard_about(scene: Scene, guard: Guard) -> str:
         lines.append(f"{left:.1f} % of the table is not proved; there both gains are set to 0.")
     least, stiffness = guard.costliest, Quantity("N/m", 4, ROUND_FLOOR)
     at = "any delay" if least.delay is None else f"a delay of {Quantity('s').words(least.delay)}"
-    at += f", for {OneHand(*least.hand).in_words(units)}" if any(least.hand) else ""
+    at += f", for {loops.OneHand(*least.hand).in_words(units)}" if any(least.hand) else ""
     granted, exact = (stiffness.words(K, units) for K in (least.granted, least.exact))
     words = f"It is least at {least.mass:g} {units.kilogram} and {at}: {granted} of {exact}."
     return "\n".join([*lines, words])
@@ -115,13 +104,13 @@ def guard_about(scene: Scene, guard: Guard) -> str:
 
 def atlas_spec(scene: Scene) -> AtlasSpec:
     """The specification of an atlas for all loops of a scene's ranges."""
-    loops = corner_loops(with_tolerances(scene))
-    if loops[0].body is None:
+    corners = loops.corner_loops(loops.with_tolerances(scene))
+    if corners[0].body is None:
         raise TypeError(
             "an atlas covers devices that are one mass with their hand; leave out device.modes, "
             "device.actuator and hand.grip."
         )
-    shortest, *_, longest = sorted(float(loop.delay_samples) for loop in 2 * loops)
+    shortest, *_, longest = sorted(float(loop.delay_samples) for loop in 2 * corners)
     delay_nodes = 8  # to a sample, along a range of delays
     count = int(delay_nodes * (longest - shortest)) + 2
 
@@ -130,10 +119,10 @@ def atlas_spec(scene: Scene) -> AtlasSpec:
         return np.unique([low, 0.5 * (low + high), high]).tolist()
 
     return AtlasSpec(
-        gamma=nodes(loop.gamma for loop in loops),
-        delta=nodes(loop.delta for loop in loops),
+        gamma=nodes(loop.gamma for loop in corners),
+        delta=nodes(loop.delta for loop in corners),
         delay=np.unique(np.linspace(shortest, longest, count)).tolist(),
-        **loops[0].filters,
+        **corners[0].filters,
     )
 
 
@@ -143,7 +132,7 @@ def ask_atlas(scene: Scene, atlas: Atlas) -> tuple[dict[str, Any], list[dict[str
     Returns inputs and units as JSON has them, and a row for each wall and corner.
     """
     scene.require_walls()
-    walls, si, moved = walls_of(scene), scene.units, scene.units.moved
+    walls, si, moved = loops.walls_of(scene), scene.units, scene.units.moved
     units = {
         "stiffness": si.stiffness,
         "damping": si.damping,
@@ -153,7 +142,7 @@ def ask_atlas(scene: Scene, atlas: Atlas) -> tuple[dict[str, Any], list[dict[str
         "hand_damping": si.damping,
         "delay": "s",
     }
-    views, rows = [*map(atlas.for_loop, corner_loops(with_tolerances(scene)))], []
+    views, rows = [*map(atlas.for_loop, loops.corner_loops(loops.with_tolerances(scene)))], []
     for (name, gains), view in product(walls.items(), views):
         answer, loop = view.query(*gains), view.loop
         hand = loop.hand_mass, loop.hand_stiffness, loop.hand_damping
@@ -171,7 +160,7 @@ def ask_atlas(scene: Scene, atlas: Atlas) -> tuple[dict[str, Any], list[dict[str
 def spec_text(scene: Scene, name: str) -> str:
     """The text of a scene's specification, which begins with a description."""
     text = atlas_spec(scene).to_toml()
-    blocks = blocks_of(with_tolerances(scene))
+    blocks = blocks_of(loops.with_tolerances(scene))
     lines = [name, *(f"{block}: {words}" for block, words in blocks.items())]
     # A control character would end the comment.
     return "".join(f"# {printable(line)}\n" for line in lines) + "\n" + text
@@ -184,8 +173,8 @@ def certificate(scene: Scene) -> dict[str, Any]:
     """The claims about the walls of a scene; ValueError for one that the reader cannot follow."""
     scene.require_walls()
     scene.controller.require_one_delay("a certificate")
-    loop = loop_of(scene)
-    if loop.body is None or hands_of(scene) is not None or loop.position is not None:
+    loop = loops.loop_of(scene)
+    if loop.body is None or loops.hands_of(scene) is not None or loop.position is not None:
         raise ValueError(
             "a certificate is of one mass and one hand without a position filter; leave out modes, "
             "actuator, grip, ranges and filter."
@@ -199,7 +188,7 @@ def certificate(scene: Scene) -> dict[str, Any]:
     }
     exact = {name: str(sum(Fraction(float(x)) for x in own)) for name, own in numbers.items()}
     walls = dict[str, Any]()
-    for name, wall in walls_of(scene).items():
+    for name, wall in loops.walls_of(scene).items():
         verdict = Verdict(int(loop.verdict(*wall)))
         if verdict == Verdict.UNDECIDED:
             raise ValueError(f"the wall {tuple(wall)} is not decided; there is nothing to certify.")

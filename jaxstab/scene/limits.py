@@ -21,25 +21,8 @@ from jaxstab.exact.line import End
 from jaxstab.loop import Gain, Gains, HapticLoop, WallLimits
 from jaxstab.model import Velocity
 from jaxstab.region import RegionStatus
+from jaxstab.scene import loops
 from jaxstab.scene.answers import Answer, GainAnswer, Quantity, basis_of, formats_of, printed_wall
-from jaxstab.scene.loops import (
-    BUT_FOR_DRIFT,
-    Floats,
-    at_lowest,
-    delays_of,
-    hands_of,
-    is_plain,
-    limit_for_all,
-    loop_of,
-    loops_over_delays,
-    stiffest_wall,
-    wall_code,
-    wall_for_all,
-    wall_region,
-    walls_of,
-    with_safety,
-    worst_on,
-)
 from jaxstab.scene.scene import Scene, Units
 from jaxstab.shown import Printed, exact_text, stable_pair, table_text
 
@@ -78,7 +61,7 @@ class StableGains:
     def is_stable(self, own: Gain, value: float, other: float) -> bool:
         """True if a value of a gain, and one of the other, are stable."""
         pair = (value, other) if own == self.loop.gains[0] else (other, value)
-        return self.verdict(*pair) in (Verdict.STABLE, BUT_FOR_DRIFT)
+        return self.verdict(*pair) in (Verdict.STABLE, loops.BUT_FOR_DRIFT)
 
     def found(self, own: Gain) -> tuple[float, float]:
         """The limit of a gain, and the other gain there; RuntimeError where it is not resolved."""
@@ -132,8 +115,8 @@ class StableGains:
 
     def row(self, fixed: Gain, value: float, around: float = nan) -> dict[str, Any]:
         """The stable values of the other gain: first those around one, or small ones."""
-        own, loops = self.other(fixed), (self.loop, *self.besides)
-        lines = [loop.intervals(**{fixed.name: value}) for loop in loops]
+        own, every = self.other(fixed), (self.loop, *self.besides)
+        lines = [loop.intervals(**{fixed.name: value}) for loop in every]
         found = stable_intervals(lines, self.safety, around)
         least = 0.0 if own.sense == "least" else -inf  # a mass is not negative
         found = [(max(low, least), high) for low, high in found if high > self.lowest]
@@ -157,7 +140,9 @@ class StableGains:
         values |= self.row(second, two, one) | self.row(first, one, two)
         low, high = values[f"{first.name}_limits"]
         is_stable = values["verdict"] == Verdict.STABLE and low <= one <= high
-        return GainAnswer(values, self.formats, is_stable or values["verdict"] == BUT_FOR_DRIFT)
+        return GainAnswer(
+            values, self.formats, is_stable or values["verdict"] == loops.BUT_FOR_DRIFT
+        )
 
 
 def numbered(values: Iterable[Any]) -> dict[str, Any]:
@@ -260,7 +245,7 @@ def _pair_text(pair: Answer, key: str, said: Mapping[str, str]) -> str:
     gains = f"{said[key + own]} at {said[key + other]}"
     verdicts = (said[key + name] for name in ("verdict", "worst_delays") if key + name in said)
     ends, exception = said.get(f"{key}{own}_limits_low"), said.get(f"{key}exception")
-    if ends is None or said[f"{key}verdict"] == BUT_FOR_DRIFT:
+    if ends is None or said[f"{key}verdict"] == loops.BUT_FOR_DRIFT:
         words = f"{gains}, {', '.join(verdicts)}"
     elif ends == Quantity.absent:
         words = f"{gains}, where no {own} is stable"
@@ -298,16 +283,16 @@ class StableWalls(StableGains):
 
     def verdict(self, first: float, second: float) -> Verdict | str:
         """The verdict on a wall."""
-        return wall_code(self.loop, Gains(first, second))
+        return loops.wall_code(self.loop, Gains(first, second))
 
     def found(self, own: Gain) -> tuple[float, float]:
         """The limit of a gain, and the other gain there; RuntimeError where it is not resolved."""
-        walls = wall_region(self.loop).reachable
+        walls = loops.wall_region(self.loop).reachable
         return walls.stiffest if own == self.loop.gains[0] else walls.most_damped[::-1]
 
     def row(self, fixed: Gain, value: float, around: float = nan) -> dict[str, Any]:
         """The stable values of the other gain, and the stiffness of the linear rule."""
-        has_rule = is_plain(self.loop) and fixed.name == "damping"
+        has_rule = loops.is_plain(self.loop) and fixed.name == "damping"
         rule = {"linear_rule_stiffness": self.linear_rule(value)} if has_rule else {}
         return super().row(fixed, value, around) | rule
 
@@ -331,11 +316,11 @@ def scene_limits(scene: Scene) -> GainAnswer:
     """
     if not scene.controller.has_one_delay:
         return _over_delays(scene)
-    loop, wanted = loop_of(scene), scene.wanted
-    region, stable = wall_region(loop), StableWalls(loop, wanted.safety or 1.0)
+    loop, wanted = loops.loop_of(scene), scene.wanted
+    region, stable = loops.wall_region(loop), StableWalls(loop, wanted.safety or 1.0)
     limits, (of_k, of_b) = region.limits(), loop.gains
     is_any_stable = isfinite(limits.stiffness)  # with K >= 0 and B >= 0
-    has_rules, is_reached = is_plain(loop), limits.is_reachable or region.is_empty
+    has_rules, is_reached = loops.is_plain(loop), limits.is_reachable or region.is_empty
     isolated = {"reached": "isolated: not connected to zero gains"}
     islands = (
         stable.limit(of_k, *own[:2]).values | stable.limit(of_b, *own[2:4]).values | isolated
@@ -345,9 +330,9 @@ def scene_limits(scene: Scene) -> GainAnswer:
         {
             "inputs": basis_of(scene),
             "safety": wanted.safety,
-            "hand": at_lowest(scene, _SEE_BELOW),
+            "hand": loops.at_lowest(scene, _SEE_BELOW),
             "best": stable.limit(of_k, *limits[:2]),
-            "all_hands": limit_for_all(scene, stable.safety),
+            "all_hands": loops.limit_for_all(scene, stable.safety),
             "most_damped": stable.limit(of_b, *limits[2:4]),
             "reached": None if is_reached else "small gains are not stable",
             "islands": numbered(map(GainAnswer, islands)),
@@ -356,7 +341,9 @@ def scene_limits(scene: Scene) -> GainAnswer:
             "windows": _other_windows(stable) if scene.controller.velocity is None else {},
             "at_given_damping": stable.at(of_b, wanted.at_damping),
             "at_given_stiffness": stable.at(of_k, wanted.at_stiffness),
-            "walls": {name: _around(scene, stable, wall) for name, wall in walls_of(scene).items()},
+            "walls": {
+                name: _around(scene, stable, wall) for name, wall in loops.walls_of(scene).items()
+            },
         }
     )
 
@@ -364,9 +351,9 @@ def scene_limits(scene: Scene) -> GainAnswer:
 def _around(scene: Scene, stable: StableWalls, wall: Gains) -> GainAnswer:
     """The limits around a wall; other hands are asked only where it is stable at the lowest."""
     found = stable.around(wall._asdict())
-    if not found.is_stable or hands_of(scene) is None:
+    if not found.is_stable or loops.hands_of(scene) is None:
         return found
-    ((worst, _),) = worst_on(scene, [wall])
+    ((worst, _),) = loops.worst_on(scene, [wall])
     if worst.is_stable:
         return found
     words = "not proved for every hand"
@@ -377,8 +364,8 @@ def _around(scene: Scene, stable: StableWalls, wall: Gains) -> GainAnswer:
 
 def _over_delays(scene: Scene) -> GainAnswer:
     """Return the stiffest wall that is proved for a range of delays, and the verdicts on walls."""
-    wanted, loops, controller = scene.wanted, loops_over_delays(scene), scene.controller
-    walls = walls_of(scene)
+    wanted, loop, controller = scene.wanted, loops.loops_over_delays(scene)[0], scene.controller
+    walls = loops.walls_of(scene)
     for name in ("at_damping", "at_stiffness"):
         if getattr(wanted, name) is not None:
             raise ValueError(
@@ -387,27 +374,27 @@ def _over_delays(scene: Scene) -> GainAnswer:
             )
     unstable, safety, every = None, wanted.safety or 1.0, "constant delay"
     if controller.moves:
-        delays, every = delays_of(scene), "sequence of delays"
-        moving = loops[0].limits(delays=controller.delays, lost=controller.lost_samples)
+        delays, every = loops.delays_of(scene), "sequence of delays"
+        moving = loop.limits(delays=controller.delays, lost=controller.lost_samples)
         unstable, found = moving.unstable_stiffness, Gains(moving.stiffness, moving.damping)
 
         def is_proved_wall(stiffness: float, damping: float) -> bool:
-            return bool(loops[0].verdict(stiffness, damping, **delays) == Verdict.STABLE)
+            return bool(loop.verdict(stiffness, damping, **delays) == Verdict.STABLE)
 
-        best, is_proved = with_safety(found, found.stiffness > 0.0, safety, is_proved_wall)
+        best, is_proved = loops.with_safety(found, found.stiffness > 0.0, safety, is_proved_wall)
     else:
-        best, is_proved, _ = wall_for_all(scene, safety)
-        every = "hand and constant delay" if hands_of(scene) else every
+        best, is_proved, _ = loops.wall_for_all(scene, safety)
+        every = "hand and constant delay" if loops.hands_of(scene) else every
     tried = "not proved" if best.stiffness > 0.0 else "no wall was found"
     certainty = f"proved for every {every}" if is_proved else tried
-    verdicts = zip(walls, worst_on(scene, [*walls.values()]), strict=True)
+    verdicts = zip(walls, loops.worst_on(scene, [*walls.values()]), strict=True)
     return GainAnswer(
         {
             "inputs": basis_of(scene),
             "safety": wanted.safety,
-            "hand": at_lowest(scene, _SEE_BELOW) if controller.moves else None,
-            "best": stiffest_wall(best, certainty=certainty, proved_unstable_at=unstable),
-            "all_hands": limit_for_all(scene, safety) if controller.moves else None,
+            "hand": loops.at_lowest(scene, _SEE_BELOW) if controller.moves else None,
+            "best": loops.stiffest_wall(best, certainty=certainty, proved_unstable_at=unstable),
+            "all_hands": loops.limit_for_all(scene, safety) if controller.moves else None,
             "walls": {name: verdict for name, (verdict, _) in verdicts},
         }
     )
@@ -421,10 +408,10 @@ def _linear_rule(stable: StableWalls, limits: WallLimits) -> GainAnswer:
     exact, words = stable.safety * limits.stiffness, "an approximation for small gains"
     if exact > 0.0:
         words += f", here {stiffness / exact:.2g} times the exact limit"
-    return stiffest_wall(Gains(stiffness, limits.at_damping), linear_rule_is=words)
+    return loops.stiffest_wall(Gains(stiffness, limits.at_damping), linear_rule_is=words)
 
 
-def passive_walls(loop: HapticLoop) -> Floats:
+def passive_walls(loop: HapticLoop) -> loops.Floats:
     """The outline (K, B) of the walls that are passive with the damping of a loop of one mass."""
     own = loop.device_damping * loop.sample_time / loop.mass
     corners = paper.passive_region(delta=own, delay=loop.delay_samples).outline
@@ -435,7 +422,7 @@ def _passive(stable: StableWalls) -> GainAnswer:
     walls = passive_walls(stable.loop)
     stiffness, damping = walls[np.argmax(walls[:, 0])].tolist() if len(walls) else (0.0, 0.0)
     allows = partial(stable.is_stable, stable.loop.gains[0])
-    return stiffest_wall(Gains(*printed_wall(stable.safety * stiffness, damping, allows)))
+    return loops.stiffest_wall(Gains(*printed_wall(stable.safety * stiffness, damping, allows)))
 
 
 def _other_windows(stable: StableWalls) -> dict[str, GainAnswer]:

@@ -24,25 +24,10 @@ from jaxstab.loop.backwards import range_of
 from jaxstab.loop.tune import settling_times
 from jaxstab.model.filters import dividing_periods, sections_of
 from jaxstab.region.curve import bracketed_root
+from jaxstab.scene import loops
 from jaxstab.scene.answers import Basis, GainAnswer, basis_of, formats_of, rounded_wall
 from jaxstab.scene.check import settled
 from jaxstab.scene.limits import StableGains, StableWalls, numbered
-from jaxstab.scene.loops import (
-    Floats,
-    at_lowest,
-    corner_loops,
-    hands_of,
-    held_by,
-    loop_of,
-    loop_within,
-    masses_of,
-    range_of_hands,
-    ranges_of,
-    wall_region,
-    walls_of,
-    with_tolerances,
-    worst_on,
-)
 from jaxstab.scene.scene import Scene, Units, presets
 from jaxstab.shown import Printed, exact_text, stable_pair
 from jaxstab.tuning import TuningStatus
@@ -61,26 +46,26 @@ def tune_over_ranges(scene: Scene, fastest: Gains | None) -> GainAnswer | None:
 
     Settling is that of constant delays: of a delay that moves, the longest one.
     """
-    given = with_tolerances(scene)
-    scene = with_tolerances(scene.at_longest_delay) if scene.controller.moves else given
-    ranges = ranges_of(scene)
+    given = loops.with_tolerances(scene)
+    scene = loops.with_tolerances(scene.at_longest_delay) if scene.controller.moves else given
+    ranges = loops.ranges_of(scene)
     if all(low == high for low, high in ranges):
         return None
-    corners = corner_loops(scene)
-    every = [*corners, *(loop_within(scene, values) for values in _between(ranges))]
-    loops = [*corners]
+    corners = loops.corner_loops(scene)
+    every = [*corners, *(loops.loop_within(scene, values) for values in _between(ranges))]
+    tried = [*corners]
     for _ in range(3):  # rounds, in which the slowest of them joins the corners
-        wall = tune_for_all(loops)
+        wall = tune_for_all(tried)
         if wall.status == TuningStatus.NO_STABLE_GAINS:
             words = "no wall was found that settles over all of the ranges"
             return GainAnswer({"stiffness": None, "certainty": words}, is_stable=False)
-        rounded = Gains(*rounded_wall(wall.stiffness, wall.damping, partial(_is_stable, loops)))
+        rounded = Gains(*rounded_wall(wall.stiffness, wall.damping, partial(_is_stable, tried)))
         times = settling_times(every, *rounded)
         slowest = int(np.argmax(times))
-        if times[slowest] <= wall.settling_time or every[slowest] in loops:
+        if times[slowest] <= wall.settling_time or every[slowest] in tried:
             break
-        loops.append(every[slowest])
-    slow, ((worst, _),) = held_by(every[slowest], scene), worst_on(given, [rounded])
+        tried.append(every[slowest])
+    slow, ((worst, _),) = loops.held_by(every[slowest], scene), loops.worst_on(given, [rounded])
     mass = slow.device_mass or scene.device.effective_mass[0]
     hand = replace(slow, device_mass=None) if scene.hand else None
     return GainAnswer(
@@ -99,9 +84,9 @@ def tune_over_ranges(scene: Scene, fastest: Gains | None) -> GainAnswer | None:
     )
 
 
-def _is_stable(loops: list[HapticLoop], stiffness: float, damping: float) -> bool:
+def _is_stable(own: list[HapticLoop], stiffness: float, damping: float) -> bool:
     """True if a wall is proved stable in each of some loops."""
-    return all(loop.verdict(stiffness, damping) == Verdict.STABLE for loop in loops)
+    return all(loop.verdict(stiffness, damping) == Verdict.STABLE for loop in own)
 
 
 def _between(ranges: list[tuple[float, float]]) -> list[list[float]]:
@@ -109,7 +94,7 @@ def _between(ranges: list[tuple[float, float]]) -> list[list[float]]:
     rng = np.random.default_rng(20081120)
     shares = np.concatenate([np.full((1, len(ranges)), 0.5), rng.random((100, len(ranges)))])
     low, high = np.array(ranges).T
-    values: Floats = low + shares * (high - low)
+    values: loops.Floats = low + shares * (high - low)
     roots = sqrt(low[2]) + shares[:, 2] * (sqrt(high[2]) - sqrt(low[2]))
     values[:, 2] = np.clip(roots**2, low[2], high[2])
     return values.tolist()
@@ -134,7 +119,7 @@ def tune_walls(scene: Scene) -> GainAnswer:
 
     Of a range of delays they are those of the longest one, as a constant delay.
     """
-    best = partial(_best, scene, loop_of(scene.at_longest_delay))
+    best = partial(_best, scene, loops.loop_of(scene.at_longest_delay))
     given, fastest = scene.wanted.at_stiffness, best("settling")
     gains = Gains(fastest.rounded.stiffness, fastest.rounded.damping) if fastest.rounded else None
     return GainAnswer(
@@ -144,7 +129,7 @@ def tune_walls(scene: Scene) -> GainAnswer:
             "least_settling": fastest,
             "walls": {name: best("settling", wall.stiffness) for name, wall in scene.walls.items()},
             "at_given_stiffness": None if given is None else best("settling", given),
-            "hand": at_lowest(scene),
+            "hand": loops.at_lowest(scene),
             "over_ranges": tune_over_ranges(scene, gains),
         }
     )
@@ -164,8 +149,8 @@ def _best(
         return BestWall({"rounded": None, "status": best.status}, is_stable=False)
     gains = Gains(best.stiffness, best.damping)
     rounded = Gains(*rounded_wall(*gains, partial(_is_stable, [loop])))
-    over_hands, over_delays = hands_of(scene) is not None, not scene.controller.has_one_delay
-    worst = worst_on(scene, [rounded])[0][0] if over_hands or over_delays else None
+    over_hands, over_delays = loops.hands_of(scene) is not None, not scene.controller.has_one_delay
+    worst = loops.worst_on(scene, [rounded])[0][0] if over_hands or over_delays else None
     verdicts = {
         "for_all_hands": worst.for_all if worst and over_hands else None,
         "for_all_delays": worst.verdict if worst and over_delays else None,
@@ -173,7 +158,7 @@ def _best(
     values = {
         **_tuned(loop, gains, encoder),
         "rounded": GainAnswer(_tuned(loop, rounded, encoder)),
-        "share_of_largest": best.stiffness / wall_region(loop).reachable.stiffest.stiffness,
+        "share_of_largest": best.stiffness / loops.wall_region(loop).reachable.stiffest.stiffness,
         "status": best.status,
         **verdicts,
     }
@@ -218,7 +203,7 @@ def design_loop(scene: Scene) -> GainAnswer:
             "wanted.stiffness is missing; give the stiffness to design for in "
             f"{scene.units.stiffness}."
         )
-    loop, in_samples = loop_of(scene), scene.controller.delay_samples
+    loop, in_samples = loops.loop_of(scene), scene.controller.delay_samples
     stable = StableWalls(loop, scene.wanted.safety or 1.0)
     period, of_k = loop.sample_time, loop.gains[0]
     shortest = max(period / 1024.0, loop.delay / most_samples if in_samples is None else 0.0)
@@ -244,7 +229,7 @@ def design_loop(scene: Scene) -> GainAnswer:
                 _periods(loop, shortest, inf),
             ),
             "delay": largest("delay", delayed_loop, period, (0.0, most_samples * period)),
-            "hand": at_lowest(scene),
+            "hand": loops.at_lowest(scene),
         }
     )
 
@@ -261,10 +246,12 @@ def _periods(loop: HapticLoop, low: float, high: float) -> list[float] | None:
     return every and [period for period in every if low <= period <= high]
 
 
-def stiffness_over(name: str, scene: Scene, design: GainAnswer) -> tuple[Floats, Floats]:
+def stiffness_over(
+    name: str, scene: Scene, design: GainAnswer
+) -> tuple[loops.Floats, loops.Floats]:
     """Sample times, or delays, around those now and designed in s, and the allowed stiffness."""
     shares, points = (0.6, 1.6), 33  # of the shortest and the longest that are given
-    loop, safety = loop_of(scene), scene.wanted.safety or 1.0
+    loop, safety = loops.loop_of(scene), scene.wanted.safety or 1.0
     designed, among = design.values[name].values[f"largest_{name}"], None
     given = [loop.sample_time, designed, *((0.0, loop.delay) if name == "delay" else ())]
     low, high = shares[0] * np.nanmin(given), shares[1] * np.nanmax(given)
@@ -273,20 +260,20 @@ def stiffness_over(name: str, scene: Scene, design: GainAnswer) -> tuple[Floats,
         among = _periods(loop, low, high)
     values = np.linspace(low, high, points) if among is None else np.array(among[::-1])
     loop_at = sampled_loop if name == "sample_time" else delayed_loop
-    regions = (wall_region(loop_at(scene, value)) for value in values.tolist())
+    regions = (loops.wall_region(loop_at(scene, value)) for value in values.tolist())
     return values, np.array([safety * own.reachable.stiffest.stiffness for own in regions])
 
 
 def sampled_loop(scene: Scene, period: float) -> HapticLoop:
     """Return the loop of a scene with another sample time; a delay in samples goes with it."""
-    loop, in_samples = loop_of(scene), scene.controller.delay_samples
+    loop, in_samples = loops.loop_of(scene), scene.controller.delay_samples
     delay = loop.delay if in_samples is None else in_samples[0] * period
     return replace(loop, sample_time=period, delay=delay)
 
 
 def delayed_loop(scene: Scene, delay: float) -> HapticLoop:
     """Return the loop of a scene with another delay in s."""
-    return replace(loop_of(scene), delay=delay)
+    return replace(loops.loop_of(scene), delay=delay)
 
 
 def largest_value(
@@ -426,18 +413,18 @@ class Backwards:
         inputs = basis_of(self.scene, at_longest=True, constant=held)
         options: Any = {
             "in_samples": scene.controller.delay_samples is not None,
-            "mass": masses_of(scene),
+            "mass": loops.masses_of(scene),
         }
         if quantity == "device_mass":
             inputs, options["mass"] = Basis(inputs.values | {"mass": (nan, nan)}), None
         if options["mass"] or (scene.hand and scene.hand.varies):
-            options["hands"] = range_of_hands(scene)
+            options["hands"] = loops.range_of_hands(scene)
         has_one_delay = self.scene.controller.has_one_delay
         every = " for every hand" if "hands" in options else ""
         every += "" if has_one_delay else " at a constant delay"
         walls = dict[str, GainAnswer]()
-        for name, wall in walls_of(scene).items():
-            found = range_of(loop_of(scene), quantity, wall, **options)
+        for name, wall in loops.walls_of(scene).items():
+            found = range_of(loops.loop_of(scene), quantity, wall, **options)
             walls[name] = _needs(wall, found, scene.units, every)
         if self.asked == "damping":
             inputs = Basis(inputs.values | {"damping_is": None})
