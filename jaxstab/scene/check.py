@@ -1,7 +1,7 @@
 """The walls of a scene: verdict, margins, radius, settling and chatter, with proofs."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import permutations
 from math import inf, isinf, isnan, nan
 from typing import Any
@@ -18,7 +18,7 @@ from jaxstab.motion import SettlingStatus
 from jaxstab.rounding import EPS
 from jaxstab.scene import loops
 from jaxstab.scene.answers import LABELS, GainAnswer, Part, Quantity, basis_of, line
-from jaxstab.scene.contact import Simulated, contacts_or_reasons
+from jaxstab.scene.contact import contacts_or_reasons
 from jaxstab.scene.limits import StableGains, stable_in_words
 from jaxstab.scene.scene import Scene, Units
 from jaxstab.shown import table_text
@@ -126,17 +126,6 @@ def _verdict(values: Mapping[str, Any], said: Mapping[str, str], units: Units) -
 # The walls of a scene.
 
 
-@dataclass(frozen=True)
-class _Wall:
-    """A wall of a scene, the loops with the hands at the corners of its range and the worst."""
-
-    scene: Scene
-    gains: Gains
-    loops: list[HapticLoop]
-    worst: loops.WallVerdict
-    worst_loop: HapticLoop
-
-
 def check_walls(scene: Scene, *, in_full: bool = True) -> GainAnswer:
     """The verdict on each wall and the requested measures, at their worst; at least one wall.
 
@@ -147,71 +136,71 @@ def check_walls(scene: Scene, *, in_full: bool = True) -> GainAnswer:
     scene.require_walls()
     felt = contacts_or_reasons(scene) if scene.wanted.measures else {}
     constant = (loops.with_delay(scene, delay) for delay in dict.fromkeys(scene.controller.delays))
-    corners, walls = (
-        [loop for own in constant for loop in loops.corner_loops(own)],
-        loops.walls_of(scene),
-    )
-    checked = dict[str, GainAnswer]()
-    for name, (worst, held) in zip(walls, loops.worst_on(scene, [*walls.values()]), strict=True):
-        wall = _Wall(scene, walls[name], list(dict.fromkeys([*corners, held])), worst, held)
-        checked[name] = _checked(wall, felt.get(name), in_full=in_full)
+    corners = [loop for own in constant for loop in loops.corner_loops(own)]
+    found = loops.worst_on(scene, [*loops.walls_of(scene).values()])
+    checked, controller = dict[str, GainAnswer](), scene.controller
+    for name, (wall, held) in zip(scene.walls, found, strict=True):
+        tried, words, measured = list(dict.fromkeys([*corners, held])), None, dict[str, Any]()
+        if wall.drifts:
+            words = (
+                "left out: nothing holds the position; limits --at-stiffness 0 gives the dampings"
+            )
+        elif controller.moves and wall.verdict != Verdict.STABLE:
+            words = "left out: they are of constant delays, but the delay moves"
+        elif measured := _measured(scene, wall, tried, held, in_full=in_full):
+            delays, count = len({loop.delay for loop in tried}), len(tried)
+            kinds = ["hands"] * (delays < count) + ["constant delays"] * (delays > 1)
+            lost = ", no sample lost" * controller.moves
+            of_many = f"the worst of {count} {' and '.join(kinds)}{lost}"
+            words = of_many if count > 1 or lost else None
+        told = {"measures_are": words if scene.wanted.measures else None}
+        values = {**wall.values, **told, **measured, "simulated": felt.get(name)}
+        checked[name] = GainAnswer(values, is_stable=wall.is_stable)
     return GainAnswer({"inputs": basis_of(scene), "walls": checked})
-
-
-def _checked(wall: _Wall, felt: Simulated | str | None, *, in_full: bool) -> GainAnswer:
-    controller, count, words = wall.scene.controller, len(wall.loops), None
-    answers = dict[str, Any]()
-    if wall.worst.drifts:
-        words = "left out: nothing holds the position; limits --at-stiffness 0 gives the dampings"
-    elif controller.moves and wall.worst.verdict != Verdict.STABLE:
-        words = "left out: they are of constant delays, but the delay moves"
-    elif answers := _measured(wall, in_full=in_full):
-        delays = len({loop.delay for loop in wall.loops})
-        kinds = ["hands"] * (delays < count) + ["constant delays"] * (delays > 1)
-        lost = ", no sample lost" * controller.moves
-        words = f"the worst of {count} {' and '.join(kinds)}{lost}" if count > 1 or lost else None
-    told = {"measures_are": words if wall.scene.wanted.measures else None}
-    values = {**wall.worst.values, **told, **answers, "simulated": felt}
-    return GainAnswer(values, is_stable=wall.worst.is_stable)
 
 
 _HORIZON = 2**17  # samples within which settling is looked for
 
 
-def _measured(wall: _Wall, *, in_full: bool) -> dict[str, Any]:
+def _measured(
+    scene: Scene,
+    wall: loops.WallVerdict,
+    tried: list[HapticLoop],
+    worst_loop: HapticLoop,
+    *,
+    in_full: bool,
+) -> dict[str, Any]:
     """The requested measures of a wall, each the worst over the hands and delays of its loops."""
-    scene, controller, wanted = wall.scene, wall.scene.controller, wall.scene.wanted
+    controller, wanted, gains = scene.controller, scene.wanted, Gains(wall.stiffness, wall.damping)
     printed = {"margins", "frequency", "settling", "chatter", *["jitter"] * controller.moves}
     of_stable = {"margins", "frequency", "jitter"} if in_full else printed | {"jitter"}
     asked = {name for name in wanted.measures if in_full or name in printed}
     answers = dict[str, Any]()
 
-    def found(name: str, method: Any, among: Any = wall.loops, **options: Any) -> Any:
+    def found(name: str, method: Any, among: Any = tried, **options: Any) -> Any:
         """A measure for each loop, stacked; None where it is not asked for."""
-        is_left_out = wall.worst.verdict == Verdict.UNSTABLE and name in of_stable
-        if name not in asked or is_left_out:
+        if name not in asked or (wall.verdict == Verdict.UNSTABLE and name in of_stable):
             return None
         return tree_map(
             lambda *parts: np.stack(parts),
-            *(method(loop, *wall.gains, **options) for loop in among),
+            *(method(loop, *gains, **options) for loop in among),
         )
 
     def hand(number: int) -> loops.OneHand | None:
-        is_one = wall.worst.worst_hand is None
-        return None if is_one else loops.held_by(wall.loops[number], scene)
+        return None if wall.worst_hand is None else loops.held_by(tried[number], scene)
 
     if (margins := found("margins", HapticLoop.margins)) is not None:
         # NaN, of a hand with which the wall is not stable, goes through.
         for name in ("stiffness_gain", "damping_gain", "extra_delay"):
             answers[name] = float(getattr(margins, name).min())
-    if "margins" in asked and (in_full or not wall.worst.worst_delays):
-        answers |= _stable_around(wall)
+    if "margins" in asked and (in_full or not wall.worst_delays):
+        answers |= _stable_around(tried, gains)
     own = found("frequency", wall_frequency_margins, in_full=wanted.frequency)
     if own is not None:
         answers["margins_over_frequency"] = frequency_answer(own, in_full=wanted.frequency)
     if (distance := found("distance", HapticLoop.boundary_distance)) is not None:
         answers["distance_to_boundary"] = float(distance.min())
-    of_radius = wall.loops if controller.moves else [wall.worst_loop]
+    of_radius = tried if controller.moves else [worst_loop]
     if (radius := found("radius", HapticLoop.spectral_radius, of_radius)) is not None:
         worst = int(np.argmax(radius.value))
         answers["spectral_radius"] = float(radius.value[worst])
@@ -246,27 +235,25 @@ def _measured(wall: _Wall, *, in_full: bool) -> dict[str, Any]:
             "force_per_count": float(chatter.force_per_count[0]),
         }
     # The range in which the delay may vary above that of the scene, with every hand.
-    shortest = [replace(wall.worst_loop, delay=controller.delays[0])]
-    hands, mass = loops.hands_of(scene), loops.masses_of(scene)
-    jitter = found("jitter", HapticLoop.jitter_margin, shortest, hands=hands, mass=mass)
-    if jitter is not None:
+    shortest = [replace(worst_loop, delay=controller.delays[0])]
+    every: Any = {"hands": loops.hands_of(scene), "mass": loops.masses_of(scene)}
+    if (jitter := found("jitter", HapticLoop.jitter_margin, shortest, **every)) is not None:
         extra, words = float(jitter[0]), list[str]()
         if not controller.has_one_delay:  # the margin of the shortest, rounded down, less the range
             low, high = controller.delays
             spent = high - low + controller.lost_samples * controller.sample_time
             extra = max(extra * (1.0 - 8.0 * EPS) - spent * (1.0 + 8.0 * EPS), 0.0)
             words.append("beyond the range")
-        words += ["proved for every hand"] * (extra > 0.0 and hands is not None)
+        words += ["proved for every hand"] * (extra > 0.0 and every["hands"] is not None)
         answers |= {"extra_delay_moving": extra or nan, "moving_is": ", ".join(words) or None}
     return answers
 
 
-def _stable_around(wall: _Wall) -> dict[str, Any]:
+def _stable_around(every: list[HapticLoop], gains: Gains) -> dict[str, Any]:
     """The stable values of one gain at the other one, for all loops."""
-    stable, rows = StableGains(wall.loops[0], besides=(*wall.loops[1:],)), dict[str, Any]()
+    stable, rows = StableGains(every[0], besides=(*every[1:],)), dict[str, Any]()
     for own, value, fixed, at in (
-        (*pair, *other)
-        for pair, other in permutations(zip(HapticLoop.gains, wall.gains, strict=True))
+        (*pair, *other) for pair, other in permutations(zip(HapticLoop.gains, gains, strict=True))
     ):
         try:
             rows |= stable.row(fixed, at, value)
