@@ -268,6 +268,31 @@ def test_walls_beyond_a_resonance_between_two_frequencies_are_undecided() -> Non
     assert 0.0 < limits[0] <= limits[1]
 
 
+def test_a_resonance_of_which_both_sides_are_small_may_be_large() -> None:
+    """A held device at 12.3 Hz, measured every 8.3 Hz: |L| is 0.6 and 0.7, and 100 between them."""
+    case = known(mass=0.186, damping=0.056, stiffness=1109.0, delay=2.3, window=5)
+    coarse, wall = np.linspace(500.0 / 60, 500.0, 60), (500.0, 0.0)
+    sides = wall[0] * abs(case.response(coarse[:2]))
+    assert sides.max() < 1.0 < wall[0] * abs(case.response(np.array([12.3])))[0]
+    assert not case.is_stable(*wall)
+    device = Device.from_response(coarse, case.response(coarse))
+    loop = HapticLoop(device=device, sample_time=1e-3, velocity=case.velocity)
+    assert loop.verdict(*wall) == MeasuredVerdict.UNDECIDED
+
+
+@pytest.mark.parametrize("wall", [(0.0, 0.0), (15.0, 0.03), (10.0, 0.02)])
+def test_margins_of_soft_walls_on_a_held_device(wall: tuple[float, float]) -> None:
+    """Of few walls of the line through one, which need not be among those that are tried."""
+    case = known(mass=0.5, damping=1.0, stiffness=200.0, delay=2.0)
+    loop = measured(case, case.response(HERTZ), 0.1)
+    found = loop.frequency_margins(*wall)
+    assert (found.verdict, case.is_stable(*wall)) == (MeasuredVerdict.STABLE, True)
+    largest = float(found.largest_gain.value)
+    assert largest > 1.0
+    if any(wall):
+        assert case.is_stable(*(largest * np.array(wall)))
+
+
 def test_a_delay_beside_the_measured_one_counts() -> None:
     case = CASES["a mass"]
     later = case._replace(whole=case.whole + 3)

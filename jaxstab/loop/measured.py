@@ -7,11 +7,12 @@ by the argument principle the loop has as many poles outside as 1 + L, from ther
 makes half turns. A turn is known where 1 + L goes from one frequency to the next by less than 90
 degrees: -1 is then outside of the circle that has the piece of L between them as its diameter. With
 a relative error e each value of 1 + L may be asin(e |L|/|1 + L|) further; what is left below 90
-degrees holds for every response within it. A resonance between two frequencies turns G by 180
-degrees, which 1 + L need not show: where G turns by 90, |L| must be below 1 on both sides. Before
-the first frequency |L| must be above 1, so that 1 + L turns as L does, or the device rests on a
-spring; after the last one, where that is not half of the sampling rate, |L| must stay below 1 with
-a G that is no larger. All else is UNDECIDED.
+degrees holds for every response within it. A resonance between two frequencies turns G by up to 180
+degrees, on a circle through 0, which 1 + L need not show: where G turns by an angle a of 90 or
+more, the diameter of the circle of L, |L_2 - L_1|/sin a, must be below 1. Before the first
+frequency |L| must be above 1, so that 1 + L turns as L does, or the device rests on a spring; after
+the last one, where that is not half of the sampling rate, |L| must stay below 1 with a G that is no
+larger. All else is UNDECIDED.
 
 That the response does between its frequencies what they suggest is not proved, so no answer is.
 
@@ -154,7 +155,10 @@ class MeasuredLoop(NamedTuple):
     def _codes(self, walls: Float64[np.ndarray, "wall 2"]) -> Int8[np.ndarray, " wall"]:
         opened = self.opened(walls)
         below, size = 1.0 + opened, abs(opened)
-        is_passed = abs(np.angle(self.response[1:] / self.response[:-1])) >= 0.5 * pi
+        wrong, more = np.arcsin(self.error), self.error * size
+        turned = abs(np.angle(self.response[1:] / self.response[:-1])) + wrong[1:] + wrong[:-1]
+        across = abs(np.diff(opened)) + more[:, 1:] + more[:, :-1]
+        is_passed = (turned >= 0.5 * pi) & (across >= np.sin(np.minimum(turned, pi)))
         with np.errstate(all="ignore"):
             spread = np.arcsin(np.minimum(self.error * size / abs(below), 1.0))
             steps = np.angle(below[:, 1:] / below[:, :-1])
@@ -173,7 +177,7 @@ class MeasuredLoop(NamedTuple):
         widest = np.max(abs(steps) + spread[:, 1:] + spread[:, :-1], axis=1)
         rest = abs(walls) @ self.most * abs(self.response[-1]) * (1.0 + self.error[-1])
         is_known &= (np.maximum(widest, last) < 0.5 * pi) & (rest < 1.0)
-        is_known &= ~np.any(is_passed & (np.maximum(size[:, 1:], size[:, :-1]) >= 1.0), axis=1)
+        is_known &= ~is_passed.any(axis=1)
         is_known &= walls[:, 0] > self.resting
         codes = np.where(count == 0.0, Verdict.STABLE, Verdict.UNSTABLE)
         return np.where(is_known, codes, Verdict.UNDECIDED).astype(np.int8)
@@ -184,10 +188,12 @@ class MeasuredLoop(NamedTuple):
         codes = self.codes(grid.reshape(-1, 2)).reshape(grid.shape[:-1])
         return named(codes, MeasuredVerdict)
 
-    def line(self, start: tuple[float, float], along: tuple[float, float]) -> StableLine:
-        """The stable walls of a line, as ``exact.stable_line``."""
+    def line(
+        self, start: tuple[float, float], along: tuple[float, float], *also: float
+    ) -> StableLine:
+        """The stable walls of a line, as ``exact.stable_line``; some t are tried also."""
         origin, way = np.array(start), np.array(along)
-        tried, codes = self._tried(origin, way)
+        tried, codes = self._tried(origin, way, also=also)
         last = partial(self._last, origin, way)
 
         def end(k: int, step: int) -> End:
@@ -207,7 +213,7 @@ class MeasuredLoop(NamedTuple):
         return StableLine(tuple(found), (), 0, inf, LineStatus.MEASURED, 0)
 
     def _crossings(self, origin: Wall, way: Wall) -> Places:
-        """The t at which 1 + L is 0, from the least to the largest."""
+        """The t at which 1 + L is 0, and 0, from the least to the largest."""
         with np.errstate(all="ignore"):
             both = np.array(self.filters)
             values = -(1.0 / self.response + origin @ both) / (way @ both)
@@ -215,11 +221,13 @@ class MeasuredLoop(NamedTuple):
             share = now.imag / (now.imag - after.imag)
             crossed = now.real + share * (after.real - now.real)
             crossed = crossed[(share >= 0.0) & (share <= 1.0)]
-            extra = [values[-1].real, (self.resting - origin[0]) / way[0]]
+            extra = [0.0, values[-1].real, (self.resting - origin[0]) / way[0]]
         found = np.concatenate([crossed, extra])
         return np.unique(found[np.isfinite(found)])
 
-    def _tried(self, origin: Wall, way: Wall, most: int | None = None) -> tuple[Places, Any]:
+    def _tried(
+        self, origin: Wall, way: Wall, most: int | None = None, also: Any = ()
+    ) -> tuple[Places, Any]:
         """Some t and their verdicts; of the first ``most`` gaps above 0, or of all of the line."""
         places = self._crossings(origin, way)
         if most:
@@ -228,7 +236,7 @@ class MeasuredLoop(NamedTuple):
         gaps = places[:-1, None] + np.diff(places)[:, None] * (_SHARES[1::2] if most else _SHARES)
         beyond = wide * np.array([1e-3, 0.1, 1.0])
         below: Any = [] if most else places[:1] - beyond[::-1]
-        tried = np.concatenate([below, gaps.ravel(), places[-1:] + beyond])
+        tried = np.unique(np.concatenate([below, gaps.ravel(), places[-1:] + beyond, also]))
         return tried, self.codes(origin + tried[:, None] * way)
 
     def _last(self, origin: Wall, way: Wall, code: Verdict, inside: Any, outside: Any) -> float:
@@ -290,7 +298,7 @@ class MeasuredLoop(NamedTuple):
     def _margins(self, wall: Wall) -> list[tuple[float, float]]:
         (opened,), hertz = self.opened(wall[None]), self.frequency
         more, size = self.error * abs(opened), abs(opened)
-        line = self.line((0.0, 0.0), (float(wall[0]), float(wall[1])))
+        line = self.line((0.0, 0.0), (float(wall[0]), float(wall[1])), 1.0)
         low, high = next(x for x in line.intervals if x.low.value <= 1.0 <= x.high.value)
         below = np.maximum(abs(1.0 + opened) - more, 0.0)
         with np.errstate(all="ignore"):
