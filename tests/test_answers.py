@@ -16,6 +16,7 @@ from commands import EXAMPLE
 from march import FINE, march_on_a_fine_grid
 from mpmath import mp
 
+from benchmarks.truth import devices, filtered
 from benchmarks.truth import loop as truth
 from jaxstab import HapticLoop
 from jaxstab.cli.main import main
@@ -24,7 +25,7 @@ from jaxstab.model import Velocity, by_name
 from jaxstab.model.loop import as_one
 from jaxstab.pictures.scene import scene_figure
 from jaxstab.point import spectral_radius, verdict
-from jaxstab.scene import Scene, check_walls, scene_limits
+from jaxstab.scene import Scene, check_walls, design_loop, scene_limits
 from jaxstab.scene.answers import (
     Answer,
     Quantity,
@@ -174,17 +175,44 @@ def test_tune_finds_the_triple_pole_and_the_best_damping_for_a_wall() -> None:
     )
 
 
+BEYOND = "beyond it the wanted gain is not allowed; much larger values were not tried"
+
+
 def test_design_returns_the_sample_time_at_which_the_wanted_stiffness_is_the_largest() -> None:
     wanted = 500.0
     found = answered("design", *FREE, "--stiffness", wanted, exit_code=1)
     period = np.sqrt((12 - 8 * np.sqrt(2)) / wanted)
     assert found["sample_time"]["largest_sample_time"] == pytest.approx(period, rel=1e-7)
-    assert found["sample_time"]["status"] == "the largest that allows the wanted gain"
+    assert found["sample_time"]["status"] == BEYOND
     assert found["delay"]["largest_delay"] is None  # not even without any
     assert (
         found["delay"]["status"]
         == "no value tried allows the wanted gain; shorten the delay or the filter"
     )
+
+
+def test_design_does_not_call_a_delay_the_largest_that_a_longer_one_exceeds() -> None:
+    """A mode of 25 ms: half of a period late the wall damps what it makes grow a quarter late."""
+    mode = {"frequency": 40.0, "damping_ratio": 0.003, "modal_mass": 2.0}
+    hand = {"mass": 0.2, "stiffness": 1500.0, "damping": 20.0}
+    table = {
+        "device": {"mass": 0.25, "damping": 0.1, "modes": [mode]},
+        "hand": {**hand, "grip": {"stiffness": 3000.0, "damping": 0.2}},
+        "controller": {"sample_time": 1e-3, "delay": 1e-3, "velocity": {"window_samples": 5}},
+        "wanted": {"stiffness": 1200.0},
+    }
+    found = design_loop(Scene.from_table(table)).delay
+    bodies = [(0.25, 0.1, 0.0), devices.mode(*mode.values())]
+    system = devices.Mechanism(bodies, [(0.2, 20.0, 1500.0, (0.2, 3000.0))]).system()
+
+    def code(delay: float, damping: float) -> Verdict:
+        filters = filtered.difference(5), filtered.average(1)
+        return devices.DeviceLoop(system, 1e-3, 1e3 * delay, *filters).code(1200.0, damping)
+
+    assert code(found.largest_delay, found.at_damping) == Verdict.STABLE
+    assert found.largest_delay < 4e-3
+    assert code(0.01, 1.5) == Verdict.STABLE
+    assert found.status.words == BEYOND
 
 
 @pytest.mark.campaign

@@ -184,18 +184,17 @@ def _tuned(loop: HapticLoop, gains: Gains, encoder: float | None) -> dict[str, A
 class DesignStatus(Status):
     """The status of a largest sample time or delay."""
 
-    FOUND = 1, "the largest that allows the wanted gain"
+    FOUND = 1, "beyond it the wanted gain is not allowed; much larger values were not tried"
     NONE = 2, "no value tried allows the wanted gain; shorten the delay or the filter"
     LONGEST_TRIED = 3, "the longest value tried still allows the wanted gain"
 
 
 def design_loop(scene: Scene) -> GainAnswer:
-    """The largest sample time, and the largest delay, that allow the wanted stiffness."""
+    """The sample time, and the delay, up to which the wanted stiffness is allowed."""
     most_samples = 256.0  # of delay that are tried
     # A delay given in samples grows with the sample time. The damping is that of the stiffest wall.
-    # The stiffness is taken to fall as the sample time or the delay grows. Where a window is given
-    # in s, only sample times that divide it are tried. Of a range of delays it is the longest one,
-    # as a constant delay.
+    # Where a window is given in s, only sample times that divide it are tried. Of a range of delays
+    # it is the longest one, as a constant delay.
     given, scene = scene, scene.at_longest_delay
     wanted = scene.wanted.stiffness
     if wanted is None:
@@ -287,7 +286,7 @@ def largest_value(
     *,
     is_whole: bool = False,
 ) -> GainAnswer:
-    """The largest value of a quantity that allows a gain, which is taken to fall with it.
+    """The value of a quantity beyond which a gain is not allowed, above the start or below.
 
     Beside it stand the other gain, as printed, and a status. Of values ``among`` which it is, if
     they are given, the largest comes first.
