@@ -396,6 +396,9 @@ def scene(tmp_path: Path) -> Path:
     return tmp_path / "measured.toml"
 
 
+COMMANDS = "limits", "check"
+
+
 def test_limits_and_check_answer_by_the_file_of_a_response(scene: Path) -> None:
     limits, check = run("limits", scene), run("check", scene)
     assert (limits.exit_code, check.exit_code) == (0, 0), limits.stderr + check.stderr
@@ -403,12 +406,26 @@ def test_limits_and_check_answer_by_the_file_of_a_response(scene: Path) -> None:
         assert "from measured data, not proved" in answer.stdout
         assert "a response measured at 1000 frequencies, 0.5 to 500 Hz" in answer.stdout
     assert "largest stiffness" in limits.stdout
-    assert "wall soft          800 N/m at 10 N s/m, within the stable range of" in limits.stdout
+    assert (
+        "wall soft          800 N/m at 10 N s/m, within the known stable range of" in limits.stdout
+    )
     assert "wall soft       800 N/m at 10 N s/m: stable\n" in check.stdout
     assert "phase margin" in check.stdout
     hard = run("check", scene, "--wall", "hard", 3000.0, 10.0)
     assert hard.exit_code == 1
     assert re.search(r"wall hard +3000 N/m at 10 N s/m: unstable\n", hard.stdout)
+
+
+def test_where_the_data_do_not_tell_no_gain_is_called_unstable(scene: Path) -> None:
+    case = known(mass=0.5, damping=1.0, stiffness=200.0, delay=2.0, window=20)
+    assert case.is_stable(300.0, 5.0)
+    response, hertz = case.response(HERTZ[1::4]), HERTZ[1::4]
+    columns = np.stack([hertz, abs(response), np.degrees(np.angle(response))], axis=1)
+    header = "frequency,gain,phase"
+    np.savetxt(scene.parent / "sweep.csv", columns, delimiter=",", header=header, comments="")
+    limits, check = (run(name, scene, "--wall", "a", 300.0, 5.0).stdout for name in COMMANDS)
+    assert re.search(r"wall a +300 N/m at 5 N s/m, where no stiffness is known to be", limits)
+    assert re.search(r"a +300 N/m at 5 N s/m: undecided\n +stable walls +no known K at 5", check)
 
 
 @pytest.mark.parametrize(

@@ -92,8 +92,9 @@ def _rows(
     elif f"{first}_limits" in values:
         letters = ("K", "B") if of_wall else (first, second)
         places = zip((first, second), letters, own[::-1], strict=True)
+        known = "known " * ("certainty" in inputs.values)  # from measured data
         beside = [
-            stable_in_words(letter, name, place, said.get(f"{name}_limits_low"), said)
+            stable_in_words(letter, name, place, said.get(f"{name}_limits_low"), said, known)
             for name, letter, place in places
         ]
         yield f"  stable {'walls' if of_wall else 'gains'}", "; ".join(beside)
