@@ -477,7 +477,7 @@ def tune(**given: Any) -> int:
     help="Find the values of this quantity with which each wall is stable, for every hand.",
 )
 def design(asked: str | None, **given: Any) -> int:
-    """Find the largest sample time, and the largest delay, for a wanted stiffness.
+    """Find the sample time, and the delay, up to which a wanted stiffness is allowed.
 
     With --for, find what a wall needs: all values of one quantity that a scan finds, each end of
     them proved. Of a range of delays it takes the longest one as a constant delay. The exit code is

@@ -340,7 +340,7 @@ def tune_gains(scene: GainScene) -> GainAnswer:
 
 
 def design_gains(scene: GainScene) -> GainAnswer:
-    """The largest sample time, and the largest delay, that allow the wanted value of a gain."""
+    """The sample time, and the delay, up to which the wanted value of a gain is allowed."""
     asked = [gain for gain in scene.loop.gains if scene.wanted[gain.name] is not None]
     if len(asked) != 1:
         both = " and ".join(gain.name for gain in scene.loop.gains)

@@ -1,7 +1,7 @@
 """Choices for a scene: the walls that come to rest fastest, sample time and delay.
 
 ``tune_walls`` finds these walls, and the best damping at given stiffnesses; ``design_loop`` the
-largest sample time and the largest delay that allow a wanted stiffness.
+sample time and the delay up to which a wanted stiffness is allowed.
 
 ``Backwards`` has the values of one quantity with which a scene's walls are stable: ``design --for``
 asks for any quantity, ``limits --gains`` without an inertia for that. What is asked for may be
@@ -178,11 +178,11 @@ def _tuned(loop: HapticLoop, gains: Gains, encoder: float | None) -> dict[str, A
     }
 
 
-# The largest sample time and the largest delay that allow a wanted stiffness.
+# The sample time and the delay up to which a wanted stiffness is allowed.
 
 
 class DesignStatus(Status):
-    """The status of a largest sample time or delay."""
+    """The status of such a sample time or delay."""
 
     FOUND = 1, "beyond it the wanted gain is not allowed; much larger values were not tried"
     NONE = 2, "no value tried allows the wanted gain; shorten the delay or the filter"
