@@ -177,7 +177,7 @@ def test_state_spaces_that_are_not_minimal_are_reduced() -> None:
     assert moved.compliance() == minimal.compliance()
     assert Device.state_space(hidden, [*b, 0.0], shown).compliance() == minimal.compliance()
     hidden[2, 2] = 7.0
-    with pytest.raises(ValueError, match="grows by itself"):
+    with pytest.raises(ValueError, match="does not decay by itself"):
         Device.state_space(hidden, [*b, 1.0], [*c, 0.0])
     assert Device.state_space(hidden, [*b, 1.0], shown).stability == "unstable"
 

@@ -358,6 +358,49 @@ def test_a_guard_holds_for_masses_of_a_device_with_shapes() -> None:
 
 
 # --------------------------------------------------------------------------------------- bad input
+@pytest.mark.parametrize("shapes", [(0.0, 1.0), (1.0, 0.0), (0.0, 0.0), (1.0, 1.0)])
+@pytest.mark.parametrize("damping", [-0.05, 0.0, 1e-3])
+def test_what_no_wall_damps_and_does_not_decay_is_refused(
+    shapes: tuple[float, float], damping: float
+) -> None:
+    """A wall of 500 N/m, 5 N s/m a sample late, and a mode that is hidden where a shape is 0.
+
+    The mode of negative damping is a state space, and a damped mode that an active hand holds.
+    """
+    (motor, encoder), w = shapes, 2.0 * np.pi * 40.0
+    a = np.array([[0, 1, 0, 0], [0, -2, 0, 0], [0, 0, 0, 1], [0, 0, -(w**2), -2 * damping * w]])
+    b, c = np.array([0.0, 4.0, 0.0, 5.0 * motor]), np.array([1.0, 0.0, encoder, 0.0])
+    held = scipy.linalg.expm(PERIOD * np.block([[a, b[:, None]], [np.zeros((1, 5))]]))[:4]
+    seen, rate = np.append(c, [0.0, 0.0]), 5.0 / PERIOD  # of the states, the force, the last x
+    force = rate * np.eye(6)[5] - (500.0 + rate) * seen
+    radius = max(abs(np.linalg.eigvals([*held @ np.eye(5, 6), force, seen])))
+    mode = Mode(
+        frequency=40.0, damping_ratio=abs(damping), modal_mass=0.2, motor=motor, encoder=encoder
+    )
+    devices = [lambda: Device.state_space(a, b, c)]
+    if damping >= 0.0:
+        devices.append(lambda: Device.modes([mode], mass=0.25, damping=0.5))
+    for device in devices:
+        if 0.0 in shapes and damping <= 0.0:
+            assert radius > 1.0 - 1e-12
+            with pytest.raises(ValueError, match="does not decay by itself and that no wall damps"):
+                device()
+        else:
+            wall = HapticLoop(device=device(), sample_time=PERIOD, delay=PERIOD)
+            assert wall.verdict(500.0, 5.0) == (Verdict.STABLE if radius < 1 else Verdict.UNSTABLE)
+
+
+def test_a_hand_that_makes_grow_what_no_wall_damps_is_refused() -> None:
+    """The hand acts on a mode of its own: 0.2 (s^2 + 3.77 s + w^2) - 5 s grows."""
+    modes = [
+        Mode(frequency=40.0, damping_ratio=0.01, modal_mass=0.2, handle=0.0),
+        Mode(frequency=30.0, damping_ratio=0.01, modal_mass=0.2, motor=0.0, encoder=0.0),
+    ]
+    with pytest.raises(ValueError, match="does not decay by itself"):
+        Device.modes(modes).held_by(Hand.transfer_function([-5.0, 0.0], [1.0]))
+    Device.modes(modes).held_by(Hand.transfer_function([-0.7, 0.0], [1.0]))
+
+
 def test_a_handle_with_a_negative_mass_is_refused() -> None:
     """Signs of a port that do not fit: a force at the handle moves it backwards."""
     chain = Chain((4e-4, 3e-4), (12.0,), (2e-3,), 2e-3, (0, 0, 1))

@@ -14,8 +14,9 @@ rank one, and so is each pole of a state space.
 
 It is a quotient of polynomials whose coefficients are exact (``parts``), with the common factors
 removed. A common factor is a state that the force does not move or the position does not show; the
-device is refused if such a state is unstable. Poles are certified: the denominator is divided into
-squarefree factors, so that all of their roots are simple, and these are isolated in balls.
+device is refused if such a state does not decay, but for a drift. Poles are certified: the
+denominator is divided into squarefree factors, so that all of their roots are simple, and these are
+isolated in balls.
 """
 
 from collections.abc import Sequence
@@ -50,8 +51,8 @@ from jaxstab.model.device.parts import (
     checked_state_space,
     checked_transfer_function,
     degree_of,
-    flint,
     polynomial,
+    roots_of,
     turn,
     working_precision,
 )
@@ -289,14 +290,15 @@ class Device:
         """A device by x' = A x + B u with the force u in N and the position C x in m.
 
         States that the force does not move, or that the position does not show, are removed,
-        exactly for the given numbers. A device with such a state that is unstable is refused.
+        exactly for the given numbers. A device with such a state that does not decay is refused,
+        but for a drift (s = 0).
 
         A is of shape (n, n), n from 1 to 40, B of (n, 1) or (n,), C of (1, n) or (n,). Where the
         hand is elsewhere, B is of (n, 2), its second column for the hand's force, and C of (2, n),
         its second row for the position there; the first ones are motor and encoder.
 
         Raises: see ``jaxstab.conventions``; ValueError also if the shapes do not fit, the position
-        never moves, or a hidden state is unstable.
+        never moves, or a hidden state does not decay.
         """
         return cls(checked_state_space(A, B, C))._checked()
 
@@ -541,10 +543,4 @@ def _has_mass_left(free: Any, held: Any) -> bool:
 
 @lru_cache(maxsize=256)
 def _pole_balls(device: Device) -> list[tuple[Any, int]]:
-    _, factors = device.compliance().denominator.factor_squarefree()
-    with working_precision(_BITS):
-        return [
-            (root, count)
-            for factor, count in factors
-            for root in flint.acb_poly(balls_of(factor)).roots(tol=flint.arb(2) ** -200)
-        ]
+    return roots_of(device.compliance().denominator)

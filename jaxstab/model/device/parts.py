@@ -3,7 +3,7 @@
 Numbers that users give are float64 and therefore rational; a frequency in Hz brings a factor pi.
 As pi is no root of a polynomial with rational coefficients, it is a second variable of the
 polynomials, and common factors are found exactly: a state that cancels is removed, and refused if
-it is unstable. ``balls_of`` evaluates the coefficients of such a polynomial in s in balls of any
+it does not decay. ``balls_of`` evaluates the coefficients of such a polynomial in s in balls of any
 precision. python-flint is imported only where such polynomials are needed.
 """
 
@@ -539,18 +539,21 @@ def checked_compliance(function: Rational, device: Any) -> Rational:
         raise ValueError(
             f"the device ({device}) is of order {below} in s; give {HIGHEST_ORDER} at most."
         )
-    if _grows(common):
+    if any(not (root.real < 0 or root.contains(0)) for root, _ in roots_of(common)):
         raise ValueError(
-            f"the device ({device}) has a part that grows by itself and that the position does not "
-            "show, a common factor of its transfer function in s: leave it out, or show it."
+            f"the device ({device}) has a part that does not decay by itself and that no wall "
+            "damps, as the motor does not move it or the encoder does not show it (a common factor "
+            "of its transfer function in s): give it damping, or leave it out."
         )
     return reduced
 
 
-def _grows(common: "fmpq_mpoly") -> bool:
-    """True if a factor has a root in the right half plane; one with pi has none."""
-    if degree_of(common) < 1 or any(power_of_pi for _, power_of_pi in common.monoms()):
-        return False  # the denominator of a mode
-    rising = [common[power, 0] for power in range(degree_of(common) + 1)]
-    roots: list[Any] = flint.fmpq_poly(rising).complex_roots()  # each with its multiplicity
-    return any(root.real > 0 for root, _ in roots)
+def roots_of(polynomial: "fmpq_mpoly") -> list[tuple[Any, int]]:
+    """Its roots in balls of 60 digits, each with its multiplicity."""
+    _, factors = polynomial.factor_squarefree()
+    with working_precision(1024):
+        return [
+            (root, count)
+            for factor, count in factors
+            for root in flint.acb_poly(balls_of(factor)).roots(tol=flint.arb(2) ** -200)
+        ]
