@@ -549,6 +549,11 @@ PLAIN = {
 }
 
 
+def test_55_a_sample_time_in_place_of_the_rate_is_warned_of() -> None:
+    with pytest.warns(UserWarning, match="rate is 0.002 Hz, usual are 20 to 100000 Hz; is it a sa"):
+        jaxstab.joints(arm(), rate=0.002, delay=2e-3)
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
