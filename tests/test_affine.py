@@ -1,5 +1,6 @@
 """Loops of any two gains: truths of 40 digits, and what engines and controllers compute."""
 
+import math
 from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
@@ -442,6 +443,15 @@ def test_54_printed_limits_are_rounded_to_the_stable_side() -> None:
     limits = robot(1e4, 1e-3, 4).limits()
     assert 0.0158504 < limits.first.value < 0.0158505
     assert "least mass = 0.0158505 kg" in repr(limits)
+
+
+@pytest.mark.parametrize("status", [RegionStatus.EMPTY, RegionStatus.UNRESOLVED])
+def test_limits_that_are_not_known_say_nothing_of_small_gains(status: RegionStatus) -> None:
+    limits = jaxstab.simulated_pd(0.1, step=2e-3).limits()
+    none = (limits[axis]._replace(value=math.nan, at=math.nan) for axis in (0, 1))
+    text = str(type(limits)(*none, status, is_reachable=False))
+    assert text.splitlines()[0] == f"GainLimits: {status.words}"
+    assert "alpha" not in text
 
 
 def test_54_an_equal_device_on_a_wall_that_moves_is_the_wall_of_an_endless_mass() -> None:

@@ -4,6 +4,9 @@ The recursions of ``affine_kinds`` share nothing with p(z): their matrices give 
 and growth.
 """
 
+import itertools
+from fractions import Fraction
+
 import mpmath
 import numpy as np
 import pytest
@@ -446,6 +449,44 @@ def test_54_ki_and_kd_of_a_free_mass_are_a_triangle_with_the_forward_rule() -> N
     most = (6.0 - 4.0 * np.sqrt(2.0)) / c  # the two angles meet
     few, none = (jaxstab.pid(device, kp=kp, rule="forward").region() for kp in (most - 1, most + 1))
     assert (few.status, none.status) == (RegionStatus.COMPLETE, RegionStatus.EMPTY)
+
+
+@pytest.mark.parametrize("stiffness", [0.235, 1.5, 40.0])
+def test_gains_of_a_spring_by_rk4_are_a_triangle_of_which_one_side_is_next_to_level(
+    stiffness: float,
+) -> None:
+    """p = z^2 - trace z + det: p(1), p(-1) and 1 - det are 0 on the sides, in fractions.
+
+    S(-1) is about 1e-12 of R(-1): along that side kp changes by 1e12 times as much as kd.
+    """
+    inertia, h = Fraction(0.0168), Fraction(1e-3)
+    w, units = Fraction(stiffness) / inertia, ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+
+    def after(q: Fraction, v: Fraction, u: Fraction) -> tuple[Fraction, Fraction]:
+        slope, total, state = (Fraction(0), Fraction(0)), [Fraction(0)] * 2, (q, v)
+        for share, weight in ((0, 1), (h / 2, 2), (h / 2, 2), (h, 1)):
+            state = q + share * slope[0], v + share * slope[1]
+            slope = state[1], u / inertia - w * state[0]
+            total = [x + weight * y for x, y in zip(total, slope, strict=True)]
+        return q + h / 6 * total[0], v + h / 6 * total[1]
+
+    (f00, f10), (f01, f11), (g0, g1) = (after(*map(Fraction, unit)) for unit in units)
+    trace = f00 + f11, -g0, -g1  # of 1, kp and kd
+    det = f00 * f11 - f01 * f10, f01 * g1 - f11 * g0, f10 * g0 - f00 * g1
+    parts = list(zip(units[0], trace, det, strict=True))
+    sides = [[one + a * t + b * d for one, t, d in parts] for a, b in ((-1, 1), (1, 1), (0, -1))]
+    corners = []
+    for (a, b, c), (d, e, f) in itertools.combinations(sides, 2):
+        below = b * f - c * e
+        corners.append((float((c * d - a * f) / below), float((a * e - b * d) / below)))
+    loop = jaxstab.simulated_pd(
+        float(inertia), step=float(h), stiffness=stiffness, integrator="rk4", outside=True
+    )
+    region = loop.region()
+    assert region.status == RegionStatus.COMPLETE
+    found, truth = (sorted(map(tuple, x), key=lambda x: x[1]) for x in (region.corners, corners))
+    assert np.array(found) == pytest.approx(np.array(truth), rel=1e-9, abs=1e-6)
+    assert loop.limits().first.value == pytest.approx(max(kp for kp, _ in corners), rel=1e-12)
 
 
 def test_54_polygons_may_have_islands() -> None:

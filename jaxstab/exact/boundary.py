@@ -287,11 +287,14 @@ def root_lines(loop: ScaledLoop) -> list[RootLine]:
     places += [(float(pole.mid()), partial(_at_pole, loop, pole)) for pole in _real_poles(loop)]
     lines = []
     for angle, kept in places:
-        ends = decided(lambda: _start_and_along(kept()))  # noqa: B023
+        with working_precision(FIRST_BITS):
+            _, s, r = (abs(float(x.mid())) for x in kept()[:3])
+        by = int(s < r)  # the gain that the other one tells: a line may be next to parallel to one
+        ends = decided(lambda: _start_and_along(kept(), by))  # noqa: B023
         if ends:
-            line = stable_pencil(partial(_divided, loop, kept))
+            line = stable_pencil(partial(_divided, loop, kept, by))
             start, along = (np.array([float(arb.mid()) for arb in pair]) for pair in ends)
-            turn = decided(partial(_turn, loop, kept))
+            turn = decided(partial(_turn, loop, kept, by))
             own = RootLine(angle, start, along, line, turn)
             if not line.drift or _bounds_walls(loop, own):
                 lines.append(own)
@@ -314,12 +317,12 @@ def _bounds_walls(loop: ScaledLoop, line: RootLine) -> bool:
     return False
 
 
-def _turn(loop: ScaledLoop, at_root: Callable[[], _Kept]) -> float:
+def _turn(loop: ScaledLoop, at_root: Callable[[], _Kept], by: int) -> float:
     """The place on a line where the side of its stable walls changes; NaN nowhere."""
     kept = at_root()
     if kept.z is None or kept.direction is None:
         return nan
-    parts = _divided(loop, at_root)
+    parts = _divided(loop, at_root, by)
     if parts is None:
         return nan
     p0, q = (part.polynomial()(kept.z) for part in parts)  # p' at the root over 2i sin(theta)
@@ -340,20 +343,24 @@ def _at_pole(loop: ScaledLoop, angle: "arb") -> _Kept:
     return _Kept((base * unit).real, s, (damping * unit).real, divisor, z, (z * unit).conjugate())
 
 
-def _start_and_along(kept: _Kept) -> "tuple[tuple[arb, arb], tuple[arb, arb]] | tuple[()] | None":
+def _start_and_along(
+    kept: _Kept, by: int
+) -> "tuple[tuple[arb, arb], tuple[arb, arb]] | tuple[()] | None":
     """Return where a line starts and where it leads; () if there is none, None for more bits."""
-    b, s, r = kept[:3]
-    if s == 0:
-        if r == 0:
-            return ()
-        return None if r.contains(0) else ((arb(0), -b / r), (arb(1), arb(0)))
-    return None if s.contains(0) else ((-b / s, arb(0)), (-r / s, arb(1)))
+    b, *slopes = kept[:3]
+    own, other = slopes[by], slopes[1 - by]
+    if own.contains(0):
+        return () if own == other == 0 else None
+    start, along = (-b / own, arb(0)), (-other / own, arb(1))
+    return (start[::-1], along[::-1]) if by else (start, along)
 
 
-def _divided(loop: ScaledLoop, at_root: Callable[[], _Kept]) -> tuple[Factored, Factored] | None:
+def _divided(
+    loop: ScaledLoop, at_root: Callable[[], _Kept], by: int
+) -> tuple[Factored, Factored] | None:
     """Return p0 and q of a line without the root that it keeps."""
     kept = at_root()
-    ends = _start_and_along(kept)
+    ends = _start_and_along(kept, by)
     if not ends:
         return None
     base, stiffness, damping = loop.triple()

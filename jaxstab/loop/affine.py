@@ -106,7 +106,8 @@ class GainLimits(NamedTuple):
 
     def __repr__(self) -> str:
         head = f"GainLimits: {self.status.words}"
-        lines = [head + ("" if self.is_reachable else "; small gains are not stable")]
+        is_told = self.is_reachable or self.status != RegionStatus.COMPLETE
+        lines = [head + ("" if is_told else "; small gains are not stable")]
         for own, other in ((self.first, self.second), (self.second, self.first)):
             name, unit, sense = own.gain
             rounding = ROUND_FLOOR if sense == "largest" else ROUND_CEILING

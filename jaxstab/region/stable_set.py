@@ -178,7 +178,7 @@ class RegionStatus(Status):
     """
 
     COMPLETE = 0, "the boundary closes to loops"
-    EMPTY = 1, "no (alpha, beta) is stable"
+    EMPTY = 1, "no gains are stable"
     UNRESOLVED = 2, "the boundary was not resolved: nothing is claimed"
     MEASURED = 3, MEASURED
 
