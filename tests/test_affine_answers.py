@@ -489,6 +489,40 @@ def test_gains_of_a_spring_by_rk4_are_a_triangle_of_which_one_side_is_next_to_le
     assert loop.limits().first.value == pytest.approx(max(kp for kp, _ in corners), rel=1e-12)
 
 
+@pytest.mark.parametrize("rule", ["backward", "forward", "trapezoid"])
+@pytest.mark.parametrize("delay", [0.0, 1.3])
+def test_without_kp_only_a_part_of_the_line_of_ki_0_bounds_stable_gains(
+    rule: str, delay: float
+) -> None:
+    """Two roots stay at 1 on that line; beside a part of it both go inside.
+
+    The velocity is the difference over a window of 8.
+    """
+    device = jaxstab.HapticLoop(
+        device_mass=0.25,
+        device_damping=0.1,
+        sample_time=1e-3,
+        delay=delay * 1e-3,
+        velocity=jaxstab.Velocity.difference(8),
+    )
+    region = jaxstab.pid(device, kp=0.0, rule=rule).region()
+    assert region.status == RegionStatus.COMPLETE
+    on_line = region.corners[region.corners[:, 0] == 0.0]
+    assert len(on_line) == 2
+    rng, held = np.random.default_rng(8), recursions.HeldMass(0.25, 0.1, 0.0, 1e-3, delay)
+    size, low = np.ptp(region.outline, axis=0), region.outline.min(axis=0)
+    gains = low + size * rng.uniform(-0.2, 1.2, (150, 2))
+    middle, half = on_line[:, 1].mean(), 0.5 * np.ptp(on_line[:, 1])
+    rows = middle + half * np.linspace(-1.9, 1.9, 10)
+    beside = [(side * 1e-4 * size[0], kd) for side in (-1.0, 1.0) for kd in rows]
+    for ki, kd in [*gains, *beside]:
+        radius = recursions.radius(
+            recursions.pid(0.0, ki, kd, held, period=1e-3, rule=rule, window=8)
+        )
+        if abs(radius - 1.0) > 1e-7:
+            assert bool(region.contains(ki=ki, kd=kd)) is bool(radius < 1.0), (ki, kd)
+
+
 def test_54_polygons_may_have_islands() -> None:
     """A mass with a mode, sampled by SciPy, a sample late: eigenvalues tell the stable gains."""
     mass, damping, period, kp = 0.2, 0.5, 1e-3, 200.0

@@ -21,6 +21,10 @@ from commands import assert_one_sentence, run
 
 import jaxstab
 from jaxstab import Verdict
+from jaxstab.loop import affine
+from jaxstab.region.curve import curve_of
+from jaxstab.region.measures import empty_outline
+from jaxstab.region.stable_set import region_within
 from jaxstab.scene import GainScene, any_scene
 
 FOLDER = Path(__file__).parents[1] / "data" / "scenes" / "gains"
@@ -255,7 +259,10 @@ def test_masses_that_are_all_stable_have_a_least_one_of_zero() -> None:
     assert low.value == 0.0
 
 
-def test_a_region_that_is_not_resolved_leaves_the_intervals_of_each_gain() -> None:
+@pytest.mark.parametrize("is_resolved", [True, False])
+def test_a_region_that_is_not_resolved_leaves_the_intervals_of_each_gain(
+    is_resolved: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Without kp: where ki = 0 two roots stay at 1, and only some of the walls beside are stable.
 
     p = z^(n + 1) (z - 1) D + N (ki T z^n + kd (z^n - 1) (z - 1)/(n T)), of a free mass a
@@ -263,8 +270,13 @@ def test_a_region_that_is_not_resolved_leaves_the_intervals_of_each_gain() -> No
     """
     kd, period, n = 47.0, 1e-3, 20
     tables = pid({"kp": 0.0, "rule": "forward"}, of=WINDOW, at_kd=kd)
+    if not is_resolved:
+        nothing = empty_outline(resolved=False)
+        monkeypatch.setattr(
+            affine, "region_of", lambda loop, _: region_within(curve_of(loop), nothing)
+        )
     answer = answered(tables)
-    assert "was not resolved" in answer.values["limits"]
+    assert ("was not resolved" in str(answer)) is not is_resolved
     low, high = answer.as_json()["at_given_kd"]["ki_limits"]
     rate = 0.1 / 0.25 * period
     slow = np.exp(-rate)

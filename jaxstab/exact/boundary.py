@@ -15,6 +15,7 @@ angles where the plant is real: as of ki and kd with an integrator by the forwar
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from functools import lru_cache, partial
+from itertools import pairwise
 from math import nan
 from typing import NamedTuple
 
@@ -25,6 +26,7 @@ from jaxtyping import Bool, Complex128, Float64
 from jaxstab.conventions import Verdict
 from jaxstab.exact.line import (
     End,
+    Interval,
     StableLine,
     is_real_quotient,
     real_quotient_angles,
@@ -296,25 +298,42 @@ def root_lines(loop: ScaledLoop) -> list[RootLine]:
             start, along = (np.array([float(arb.mid()) for arb in pair]) for pair in ends)
             turn = decided(partial(_turn, loop, kept, by))
             own = RootLine(angle, start, along, line, turn)
-            if not line.drift or _bounds_walls(loop, own):
-                lines.append(own)
-    return lines
+            lines += [_bounding(loop, own, kept, by)] if line.drift else [own]
+    return [own for own in lines if own.line.intervals or not own.line.drift]
 
 
-def _bounds_walls(loop: ScaledLoop, line: RootLine) -> bool:
-    """True if a wall beside the middle of an interval of a line is stable.
+def _bounding(loop: ScaledLoop, line: RootLine, at_root: Callable[[], _Kept], by: int) -> RootLine:
+    """The parts of a line beside which walls are stable, where it keeps a second root at 1 or -1.
 
-    A line that keeps a second root at 1 or -1, as that of ki = 0 does where kp is 0, need not bound
-    stable walls: both roots have to move inwards.
+    So does ki = 0 where kp is 0. Beside it p = (z - 1)^2 c + e s has the two roots exp(u),
+    u = +-i h + h^2 (1 + c'/c - s'/s)/2, h^2 = e s/c, both inside on a part of the line at most.
     """
-    aside = 1e-6  # of an interval
+    aside = 1e-6  # of a part
+    with working_precision(FIRST_BITS):
+        meeting = _meeting(loop, line, at_root, by)
+    found = []
     for low, high in line.line.intervals:
-        step = aside * (high.value - low.value) * line.along[::-1] * (1.0, -1.0)
-        middle = line.wall(0.5 * (low.value + high.value))
-        for wall in (middle - step, middle + step):
-            if wall_verdict(loop.triple, *wall.tolist()).verdict == Verdict.STABLE:
-                return True
-    return False
+        cut = [End(meeting, 0.0, line.angle)] if low.value < meeting < high.value else []
+        for start, end in pairwise((low, *cut, high)):
+            step = aside * (end.value - start.value) * line.along[::-1] * (1.0, -1.0)
+            middle = line.wall(0.5 * (start.value + end.value))
+            walls = [(middle + way * step).tolist() for way in (-1.0, 1.0)]
+            if any(wall_verdict(loop.triple, *x).verdict == Verdict.STABLE for x in walls):
+                found.append(Interval(start, end))
+    return line._replace(line=line.line._replace(intervals=tuple(found)))
+
+
+def _meeting(loop: ScaledLoop, line: RootLine, at_root: Callable[[], _Kept], by: int) -> float:
+    """The place on such a line where 1 + c'/c = s'/s; NaN if there is none."""
+    (_, *sides), parts = loop.triple(), _divided(loop, at_root, by)
+    if parts is None:
+        return nan
+    (p, p0, p1), (q, q0, q1), (s0, s1, _) = (
+        [*part.around(-1 if line.angle else 1).coeffs(), *[arb(0)] * 3][:3]
+        for part in (*parts, sides[by])
+    )
+    k = s1 / s0 - 1
+    return float(((p1 - k * p0) / (k * q0 - q1)).mid()) if p == q == 0 else nan
 
 
 def _turn(loop: ScaledLoop, at_root: Callable[[], _Kept], by: int) -> float:
