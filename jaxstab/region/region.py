@@ -47,6 +47,7 @@ from jaxstab.region.pieces import (
     others_inside,
     scan_angles,
     second_pairs,
+    spread,
 )
 from jaxstab.region.stable_set import StableRegion, components_of, region_within
 from jaxstab.rounding import UNIT
@@ -209,8 +210,8 @@ def _compared(c: Curve, outline: Outline) -> list[tuple[int, float, bool, float]
     Inner sides where the wall next to the limit is stable are left out.
     """
     slim = 1e-9  # of the region's width: shorter intervals need not be compared
-    # In shares of its height, from corners: rows where modes are hardly damped.
-    from_corners = 10.0 ** -np.arange(1.0, 8.0, 2.0)
+    # In shares of its height, from so many corners: rows where modes are hardly damped.
+    from_corners, most = 10.0 ** -np.arange(1.0, 8.0, 2.0), 8
     # Of a component's height: where a row is compared, or that of the limit, if corners are so far.
     row, apart = 0.47, 0.05
     main, *islands = components_of(c, outline)
@@ -232,7 +233,7 @@ def _compared(c: Curve, outline: Outline) -> list[tuple[int, float, bool, float]
         rows[0] = at_limit
     if c.stretches:
         near = np.append(-from_corners, from_corners) * sizes[1]
-        rows += (outline.corners[:, 1, None] + near).ravel().tolist()
+        rows += (spread(outline.corners[:, 1], most)[:, None] + near).ravel().tolist()
     lines += [(1, value, False, slim * sizes[0]) for value in rows]
     return lines
 
@@ -271,8 +272,7 @@ def _cut_through(c: Curve, lines: _Lines, outline: Outline) -> Centers:
     doubted = theta[~others_inside(c, theta)]
     if not doubted.size:
         return np.empty((0, 2))
-    few = np.linspace(0, len(doubted) - 1, min(most, len(doubted))).astype(int)
-    some = doubted[few]
+    some = spread(doubted, most)
     cut = some[~others_inside(c, some, with_balls=True)]
     rows = [_inner(lines.at(1, beta).crossings) for beta in curve_gains(c, cut)[1].tolist()]
     return np.concatenate([np.stack(true_angles(c, np.abs(cut)), axis=1), *rows])
