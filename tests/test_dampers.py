@@ -8,7 +8,7 @@ import pytest
 from commands import run
 from scipy.signal import butter, cont2discrete
 
-from jaxstab import Device, HapticLoop, Mode, Velocity
+from jaxstab import Device, Filter, HapticLoop, Mode, Velocity
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains
 from jaxstab.scene import Scene, check_walls
@@ -79,6 +79,31 @@ def test_springs_and_held_devices_have_the_ordinary_verdict() -> None:
     mode = Device.modes([Mode(frequency=80.0, damping_ratio=0.05, modal_mass=0.2)], mass=0.3)
     loop = HapticLoop(device=mode, sample_time=T)
     assert verdict_with_drift(loop, Gains(0.0, 4.0)) == BUT_FOR_DRIFT
+
+
+def test_values_for_a_damper_are_those_for_all_other_poles_and_say_so() -> None:
+    loop = LOOPS["difference"][2]
+    for damping in (0.4, 40.0):
+        delays = loop.range_of("delay", 0.0, damping, between=(0.0, 3 * T), count=4)
+        assert delays.drift
+        assert "but for the position, which nothing holds" in repr(delays)
+        is_stable = max(abs(roots_beside_1("difference", damping))) < 1.0
+        assert any(low.stable <= T <= high.stable for low, high in delays.intervals) == is_stable
+    held = loop.range_of("hand_stiffness", 0.0, 10.0)
+    assert not held.drift
+    assert held.least > 0.0
+    assert not HapticLoop(**DEVICE, hand_stiffness=50.0).range_of("delay", 0.0, 10.0).drift
+    assert "but for the drift" in repr(loop.damping_intervals(0.0))
+    assert "drift" not in repr(loop.stiffness_intervals(10.0))
+
+
+def test_a_spring_that_does_not_push_back_at_rest_is_stable_for_no_value() -> None:
+    """With P(1) = 0 on a free device all three parts of p(z) are 0 at z = 1."""
+    washed = Filter.transfer_function([1.0, -1.0], [1.0, -0.95])
+    loop = HapticLoop(**DEVICE, position=washed)
+    for quantity in ("device_damping", "delay", "sample_time"):
+        assert not loop.range_of(quantity, 100.0, 1.0).intervals
+    assert loop.range_of("hand_stiffness", 100.0, 1.0).least > 0.0
 
 
 def test_check_and_limits_agree_about_dampers() -> None:

@@ -200,7 +200,7 @@ CASES: dict[str, tuple[Callable[[], Any], int]] = {
         lambda: undamped_modes(ScaledLoop(UNDAMPED, (1.0, 1.0)), np.array([0.99 + 0.01j]), 1e9),
         42,
     ),
-    "lines of a root": (lambda: root_lines(ScaledLoop(PEDAL, (1.0, 1.0))), 259),
+    "lines of a root": (lambda: root_lines(ScaledLoop(PEDAL, (1.0, 1.0))), 268),
     "others inside": (
         lambda: others_inside(
             ScaledLoop(FILTERED, (1.0, 1.0)), np.linspace(0.1, 3.0, 7), np.zeros(7)

@@ -117,7 +117,8 @@ class StableLine(NamedTuple):
             )
             for interval in self.intervals
         ]
-        return "\n  ".join([f"StableLine: {self.status.words}", *(intervals or ["none"])])
+        head = f"StableLine: {self.status.words}{', but for the drift' if self.drift else ''}"
+        return "\n  ".join([head, *(intervals or ["none"])])
 
     def holding(self, t: float) -> Interval | None:
         """The interval that holds a number, if one does for certain."""

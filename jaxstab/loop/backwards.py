@@ -85,6 +85,7 @@ class StableValues(NamedTuple):
         is_proved: whether the stable side of each end is proved, for all hands where there is a
             range of them; it then lies inside of what the hands that were tried allow. Else no hand
             that was tried refutes it.
+        drift: whether nothing holds the position: the intervals are those of all other roots.
 
     Example:
         >>> joint = jaxstab.HapticLoop(
@@ -104,6 +105,7 @@ class StableValues(NamedTuple):
     tried: int
     is_complete: bool
     is_proved: bool = True
+    drift: bool = False
 
     @property
     def least(self) -> float:
@@ -131,7 +133,8 @@ class StableValues(NamedTuple):
                 text += f" to {number_text(high.stable, 10, ROUND_FLOOR)}"
             lines.append(f"  {text} {self.unit}".rstrip())
         doubt = [] if self.is_proved else ["  not proved for every hand"]
-        head = f"StableValues of {self.quantity}:"
+        exception = ", but for the position, which nothing holds" if self.drift else ""
+        head = f"StableValues of {self.quantity}{exception}:"
         return "\n".join([head, *(lines or ["  none"]), *doubt, f"  {self.scan}"])
 
 
@@ -226,13 +229,15 @@ def range_of(
     is_of_mechanics = quantity.partition("_")[0] in ("device", "hand")  # p(z) keeps its degree
     at_once = is_of_mechanics and loop.device is None and wall.stiffness != 0.0
     tried = (5000 if at_once else 500) if count is None else checked_count("count", count, 2)
+    may_drift = wall.stiffness == 0.0 and quantity != "hand_stiffness"
     scan = _scan(loop, quantity, wall, tried).within(between, tried)
     if is_of_mechanics and loop.device is None:
         scan = _held(loops, quantity, scan)
 
     @cache  # a hand that joins leaves the verdicts on the others
     def verdict(each: Any, value: float) -> Verdict:
-        return wall_verdict(partial(ball_triple, change(each, value)), *wall, may_drift=True)[0]
+        triple = partial(ball_triple, change(each, value))
+        return wall_verdict(triple, *wall, may_drift=may_drift).verdict
 
     def judge(value: float) -> Verdict:
         codes = []
@@ -250,7 +255,9 @@ def range_of(
 
     def scanned() -> StableValues:
         known = _verdicts(loops, quantity, wall, scan) if at_once else None
-        return stable_values((quantity, UNITS[quantity]), scan, judge, known)
+        found = stable_values((quantity, UNITS[quantity]), scan, judge, known)
+        triples = [ball_triple(change(each, found.least)) for each in loops if found.intervals]
+        return found._replace(drift=may_drift and any(own.at(*wall).at_one for own in triples))
 
     if every is None:
         return scanned()

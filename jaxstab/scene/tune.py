@@ -448,7 +448,9 @@ def _needs(wall: Gains, found: StableValues, units: Units, every: str) -> GainAn
         values[largest] = high if high < found.between[1] else None
         values[others] = numbered(more)
         is_all = len(inner) == 1 and inner[0] == found.between
-        values["status"] = "every value tried is stable" if is_all else None
+        stable = loops.BUT_FOR_DRIFT if found.drift else "stable"
+        if is_all or found.drift:
+            values["status"] = f"every value tried is {stable}" if is_all else stable
         words = f"{'each end is' if found.is_proved else 'not'} proved{every}"
         values["certainty"] = words if every else None
     else:
