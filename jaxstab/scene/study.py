@@ -731,7 +731,7 @@ class _Source:
                 kept = {k for k in own if not k.startswith("delay") and k != "lost_samples"}
                 table = {**table, "controller": {k: own[k] for k in kept}}
         if "controller.velocity.preset" in values:  # in place of all that the scene says
-            table = with_value(table, "controller.velocity", {}, ["controller", "velocity"])
+            table = t.with_value(table, "controller.velocity", {}, ["controller", "velocity"])
         for key, value in values.items():
             is_whole = isinstance(value, float) and value.is_integer()  # as a window in samples
             table = t.with_value(table, key, int(value) if is_whole else value, key.split("."))
