@@ -39,11 +39,13 @@ static inline void *jaxstab_read(hid_t file, const char *name, hid_t type, size_
     if (dataset < 0)
         return NULL;
     const hid_t space = H5Dget_space(dataset), plist = H5Dget_create_plist(dataset);
+    const hid_t stored = H5Dget_type(dataset);
     const hssize_t size = H5Sget_simple_extent_npoints(space);
     const size_t bytes = H5Tget_size(type);
     const int is_plain = H5Pget_layout(plist) == H5D_CHUNKED && H5Pget_external_count(plist) == 0 &&
                          H5Pget_nfilters(plist) == 1;  /* Fletcher32 alone: no chunk expands */
-    if (is_plain && size > 0 && (size_t)size <= JAXSTAB_MOST_BYTES / bytes &&
+    const int is_of_type = H5Tget_class(stored) == H5Tget_class(type) && H5Tget_size(stored) == bytes;
+    if (is_plain && is_of_type && size > 0 && (size_t)size <= JAXSTAB_MOST_BYTES / bytes &&
         H5Dget_storage_size(dataset) >= (hsize_t)size * bytes && (*count == 0 || *count == (size_t)size)) {
         values = malloc((size_t)size * bytes);
         if (values && H5Dread(dataset, type, H5S_ALL, H5S_ALL, H5P_DEFAULT, values) < 0) {
@@ -52,6 +54,7 @@ static inline void *jaxstab_read(hid_t file, const char *name, hid_t type, size_
         }
         *count = (size_t)size;
     }
+    H5Tclose(stored);
     H5Pclose(plist);
     H5Sclose(space);
     H5Dclose(dataset);
