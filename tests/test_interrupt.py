@@ -144,7 +144,7 @@ def test_a_command_that_is_held_up_says_that_it_is_interrupted(is_terminal: bool
 
 
 def test_an_interruption_says_nothing_of_files_that_are_written(tmp_path: Path) -> None:
-    script = "from jaxstab.cli import main, study; import os, signal; study.print_with_csv = lambda"
+    script = "from jaxstab.cli import main, scene; import os, signal; scene.print_with_csv = lambda"
     script += " *_: os.kill(os.getpid(), signal.SIGINT) or signal.pause(); main.main()"
     (tmp_path / "scene.toml").write_text(SCENE)
     command = "study", "scene.toml", "--over", "device.mass=0.1,0.2", "-o", "a.nc"

@@ -415,18 +415,13 @@ def test_55_a_check_of_stable_gains_has_the_factors_of_each_and_of_both() -> Non
 
 
 def test_the_least_factor_is_told_where_the_largest_is_as_good_as_unlimited() -> None:
-    period, environment, late, damping = (
-        1e-3,
-        1e4,
-        3,
-        30.0,
-    )  # D = Ke T w: of any mass but for float64
+    """At D = Ke T w every larger mass is stable, but for the rounding of T."""
+    period, environment, late, damping = 1e-3, 1e4, 3, 30.0
     loop = {"environment": environment, "sample_time": period, "delay_samples": late}
     tables = {"loop": {"kind": "admittance", **loop}}
     tables["gains"] = {"a": {"mass": 1.0, "damping": damping}}
-    (least, largest) = (
-        GainScene.from_table(tables).answer("check").values["gains"]["a"].values["mass_factors"]
-    )
+    found = GainScene.from_table(tables).answer("check").values["gains"]["a"]
+    least, largest = found.values["mass_factors"]
     assert largest > 1e12
     printed = str(jaxstab.admittance(**loop).margins(mass=1.0, damping=damping))
     assert re.search(r"mass \(kg\) +0\.0125 .* 0\.0125 to ", printed)
