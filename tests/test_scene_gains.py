@@ -277,6 +277,7 @@ def test_a_region_that_is_not_resolved_leaves_the_intervals_of_each_gain(
         )
     answer = answered(tables)
     assert ("was not resolved" in str(answer)) is not is_resolved
+    assert answer.all_stable is is_resolved
     low, high = answer.as_json()["at_given_kd"]["ki_limits"]
     rate = 0.1 / 0.25 * period
     slow = np.exp(-rate)

@@ -261,7 +261,7 @@ def gain_limits(scene: GainScene) -> GainAnswer:
         is_any = not all(isnan(next(iter(limit.values.values()))) for limit in limits.values())
         values |= limits if is_any else {"limits": "there are no stable gains"}
     except (ValueError, RuntimeError) as error:  # both gains act alike, or it is not resolved
-        values["limits"] = str(error)
+        values["limits"], is_any = str(error), isinstance(error, ValueError)
     for own in gains:
         at = scene.wanted[f"at_{own.name}"]
         if at is not None and scene.is_range:

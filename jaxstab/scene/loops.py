@@ -57,7 +57,7 @@ def wall_region(loop: HapticLoop) -> WallRegion:
     region = loop.region()
     if region.status == RegionStatus.UNRESOLVED:
         raise RuntimeError(
-            f"the stable region of a loop with {loop.delay_samples:g} samples of delay, "
+            f"the stable region of a loop with a delay of {loop.delay:g} s, "
             f"{loop.velocity or Velocity()}, was not resolved; change one value a little."
         )
     return region
