@@ -159,7 +159,8 @@ def stable_intervals(
     """
     if any(line.status == LineStatus.UNDECIDED for line in lines):
         raise ValueError(
-            "the intervals of stable gains were not resolved; change one value a little."
+            f"the intervals of stable gains were not resolved: {LineStatus.UNDECIDED.words}; "
+            "change one value a little."
         )
     common = [(-inf, inf)]
     for line in lines:
