@@ -256,8 +256,8 @@ def range_of(
     def scanned() -> StableValues:
         known = _verdicts(loops, quantity, wall, scan) if at_once else None
         found = stable_values((quantity, UNITS[quantity]), scan, judge, known)
-        triples = [ball_triple(change(each, found.least)) for each in loops if found.intervals]
-        return found._replace(drift=may_drift and any(own.at(*wall).at_one for own in triples))
+        stable = [change(each, found.least) for each in loops if may_drift and found.intervals]
+        return found._replace(drift=any(ball_triple(own).at(*wall).at_one for own in stable))
 
     if every is None:
         return scanned()

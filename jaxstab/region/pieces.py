@@ -199,11 +199,6 @@ class Passes:
         return self.answers[np.searchsorted(self.asked, theta)]
 
 
-def spread(values: Array, most: int) -> Array:
-    """Return some values, at most so many, from the first to the last."""
-    return values[np.linspace(0, len(values) - 1, min(most, len(values))).astype(int)]
-
-
 def without_pair(falling: Array, total: Array, product: Array | float = 1.0) -> Array:
     """Divide polynomials by z^2 - total z + product, two roots of each; highest power first.
 

@@ -47,7 +47,6 @@ from jaxstab.region.pieces import (
     others_inside,
     scan_angles,
     second_pairs,
-    spread,
 )
 from jaxstab.region.stable_set import StableRegion, components_of, region_within
 from jaxstab.rounding import UNIT
@@ -233,7 +232,7 @@ def _compared(c: Curve, outline: Outline) -> list[tuple[int, float, bool, float]
         rows[0] = at_limit
     if c.stretches:
         near = np.append(-from_corners, from_corners) * sizes[1]
-        rows += (spread(outline.corners[:, 1], most)[:, None] + near).ravel().tolist()
+        rows += (_spread(outline.corners[:, 1], most)[:, None] + near).ravel().tolist()
     lines += [(1, value, False, slim * sizes[0]) for value in rows]
     return lines
 
@@ -272,7 +271,7 @@ def _cut_through(c: Curve, lines: _Lines, outline: Outline) -> Centers:
     doubted = theta[~others_inside(c, theta)]
     if not doubted.size:
         return np.empty((0, 2))
-    some = spread(doubted, most)
+    some = _spread(doubted, most)
     cut = some[~others_inside(c, some, with_balls=True)]
     rows = [_inner(lines.at(1, beta).crossings) for beta in curve_gains(c, cut)[1].tolist()]
     return np.concatenate([np.stack(true_angles(c, np.abs(cut)), axis=1), *rows])
@@ -325,6 +324,11 @@ def _ends_beside(
 def _end_beside(row: StableLine, limit: float, far: float) -> list[float]:
     ends = sorted((high.value for _, high in row.intervals), key=lambda end: abs(end - limit))
     return [end for end in ends[:1] if abs(end - limit) < far]
+
+
+def _spread(values: Float64[np.ndarray, " _"], most: int) -> Float64[np.ndarray, " _"]:
+    """Return some values, at most so many, from the first to the last."""
+    return values[np.linspace(0, len(values) - 1, min(most, len(values))).astype(int)]
 
 
 def _agree(line: StableLine, drawn: Points, slim: float, share: float, size: float) -> bool:

@@ -364,7 +364,7 @@ def _half_widths(found: Any, weights: Rows, count: int, response: Rows) -> Value
     """Of 95 % intervals, from how errors of samples move a fit: alone, and with what follows."""
     solved, free = np.linalg.pinv(found.jac), count - found.x.size
     behind = np.array([np.convolve(row[::-1], response)[: len(row)] for row in solved * weights])
-    # Of the encoder's errors: twice, for those of neighbours are alike.
+    # Of the encoder's errors, counted twice: neighbouring ones are alike.
     pushed = 2.0 * np.mean((found.fun / weights) ** 2) / np.sum(response**2)
     alone = 2.0 * found.cost / free * np.sum(solved**2, axis=1)
     half: Values = stdtrit(free, 0.975) * np.sqrt(

@@ -250,7 +250,7 @@ def _pair_text(pair: Answer, key: str, said: Mapping[str, str]) -> str:
     if ends is None or said[f"{key}verdict"] == loops.BUT_FOR_DRIFT:
         words = f"{gains}, {', '.join(verdicts)}"
     elif ends == Quantity.absent:
-        words = f"{gains}, where no {own} is {'known to be ' * bool(known)}stable"
+        words = f"{gains}, where no {own} is {'known to be ' if known else ''}stable"
     else:
         low, high = getattr(pair, f"{own}_limits")
         place = "within" if low < getattr(pair, own) < high else "outside"

@@ -182,7 +182,7 @@ def _tuned(loop: HapticLoop, gains: Gains, encoder: float | None) -> dict[str, A
 
 
 class DesignStatus(Status):
-    """The status of such a sample time or delay."""
+    """The status of a sample time or a delay that ``design`` finds."""
 
     FOUND = 1, "beyond it the wanted gain is not allowed; much larger values were not tried"
     NONE = 2, "no value tried allows the wanted gain; shorten the delay or the filter"
