@@ -27,18 +27,16 @@ from contourpy import contour_generator
 from jaxtyping import Bool, Complex128, Float64, Int8, Int64
 
 from jaxstab.arrays import Array, Numbers, is_traced, namespace
-from jaxstab.batches import lists, own_settings
+from jaxstab.batches import compiler_options, lists, own_settings
 from jaxstab.conventions import AXES, Status
 from jaxstab.model import (
     Filter,
     LoopParameters,
-    PlantCoefficients,
     Velocity,
     by_name,
     characteristic_polynomial,
 )
 from jaxstab.model.filters import Filters, as_keywords, known_filters
-from jaxstab.model.plant import plant_pairs
 from jaxstab.numbers import checked, checked_number, has_shape, require_x64
 from jaxstab.point.fields import UNKNOWN, poles_outside
 from jaxstab.region.closed_form import Responses, circle_equations
@@ -313,36 +311,21 @@ def halved(maps: Monomials, edges: Edges, filters: Filters | None) -> Edges:
 # Unknown are the share s of the edge and theta / pi. Where a pair crosses, two equations hold
 # (``circle_equations``); where a real root does, Re g = 0 and theta = 0 or pi. Each edge is a lane
 # of a program that is compiled once: the plane, its window and the fixed quantities are arguments.
-# Two more steps, with plants of full accuracy, are NumPy's.
 
 _CONVERGED = 1e-9  # of an edge, and of pi
 _BEYOND = 0.01  # of an edge: how far the larger circle may move a bracket
 
 
-def _newton(
-    u: Array, ends: Array, branch: Array, maps: Monomials, filters: Responses, *, is_exact: bool
-) -> tuple[Array, Array]:
-    """Return u = (s, theta / pi) of edges (2, edge) after a step, and the equations before it."""
-    difference = 2.0**-25  # of an edge, and of pi: derivatives are then good to about 1e-7
-    xp, shifts = namespace(u), difference * np.eye(2, 3, 1)
-    share, turn = xp.tile(u, 3) + np.repeat(shifts, u.shape[1], axis=1)
-    ends, branch = xp.tile(ends, (3, 1, 1)), xp.tile(branch, 3)
-    maps = maps._replace(factor=xp.tile(maps.factor.reshape(5, -1), 3))
+def _equations(u: Array, ends: Array, branch: Array, maps: Monomials, filters: Responses) -> Array:
+    """Return the two equations of edges (2, edge) at u = (s, theta / pi)."""
+    xp, (share, turn) = namespace(u), u
     position = ends[:, 0] + share[:, None] * (ends[:, 1] - ends[:, 0])
     alpha, beta, *others = maps.parameters(position)
-    gamma, delta, delay = hand = [xp.maximum(x, 0.0) for x in others]
-    plant = None
-    if is_exact:
-        pairs = plant_pairs(gamma, delta, delay - np.floor(delay))
-        plant = PlantCoefficients(*(pair.rounded() for pair in pairs))
+    hand = [xp.maximum(x, 0.0) for x in others]
     is_pair, end = branch == Branch.CURVE, 1.0 * (branch == Branch.Z_MINUS_ONE)
     theta = pi * xp.where(is_pair, turn, end)
-    real, imaginary = circle_equations(hand, alpha, beta, theta, filters, plant)
-    equations = xp.stack([real, xp.where(is_pair, imaginary, turn - end)])
-    value, *beside = xp.split(equations, 3, axis=1)
-    (a, c), (b, d) = ((moved - value) / difference for moved in beside)
-    steps = xp.stack([d * value[0] - b * value[1], a * value[1] - c * value[0]])
-    return u - steps / (a * d - b * c), value
+    real, imaginary = circle_equations(hand, alpha, beta, theta, filters)
+    return xp.stack([real, xp.where(is_pair, imaginary, turn - end)])
 
 
 @cache
@@ -351,18 +334,20 @@ def _corrector() -> Callable[..., tuple[Array, Array]]:
     import jax
     import optimistix
 
-    solver: Any = optimistix.FixedPointIteration(rtol=0.0, atol=_CONVERGED)
+    solver: Any = optimistix.Newton(rtol=0.0, atol=_CONVERGED)
 
     def correct(start: Array, ends: Array, branch: Array, *plane: Any) -> tuple[Array, Array]:
-        def step(u: Array, _: None) -> Array:
-            return _newton(u[:, None], ends[None], branch, *plane, is_exact=False)[0][:, 0]
+        def equations(u: Array, _: None) -> Array:
+            return _equations(u[:, None], ends[None], branch, *plane)[:, 0]
 
-        solution: Any = optimistix.fixed_point(step, solver, start, max_steps=16, throw=False)
+        solution: Any = optimistix.root_find(equations, solver, start, max_steps=16, throw=False)
         return solution.value, solution.result == optimistix.RESULTS.successful
 
-    # What is not of each lane is of the plane.
+    # Arguments without a lane axis are shared by the whole plane. Compiling takes longer than all
+    # lanes of a trace, so XLA optimises little.
     of_lane: Any = 0, 0, 0, Monomials(1, None, None, None), None
-    return jax.jit(jax.vmap(correct, in_axes=of_lane))
+    options = compiler_options({"xla_backend_optimization_level": 0})
+    return jax.jit(jax.vmap(correct, in_axes=of_lane), compiler_options=options)
 
 
 def solved(
@@ -383,11 +368,9 @@ def solved(
     farthest = np.ptp(edges.shares, axis=1) + _BEYOND
     is_solved &= np.abs(u[:, 0] - start[:, 0]) <= farthest
     is_solved &= np.abs(u[:, 1] - 0.5) <= 0.5 + _CONVERGED
-    u = np.where(is_solved[:, None], u, start).T
-    for _ in range(2):
-        following, value = _newton(u, edges.ends, edges.branch, maps, responses, is_exact=True)
-        u = np.where(is_solved, following, u)
-    return u.T, np.linalg.norm(value, axis=0), is_solved
+    u = np.where(is_solved[:, None], u, start)
+    value = _equations(u.T, edges.ends, edges.branch, maps, responses)
+    return u, np.linalg.norm(value, axis=0), is_solved
 
 
 def _starts(maps: Monomials, edges: Edges, filters: Filters | None) -> Points:

@@ -383,14 +383,13 @@ def circle_equations(
     beta: Numbers,
     theta: Array,
     responses: Responses,
-    plant: PlantCoefficients | None = None,
 ) -> tuple[Array, Array]:
     """Return Re g and Im g / sin(theta); differentiable, and smooth in theta at 0 and pi.
 
-    ``hand`` is gamma, delta and the delay, of a plant that is quick to compile if none is given.
+    ``hand`` is gamma, delta and the delay.
     """
     gamma, delta, delay = hand
-    c = quick_plant(gamma, delta, delay) if plant is None else plant
+    c = quick_plant(gamma, delta, delay)
     xp = namespace(c, alpha, beta, theta)
     upper = theta > pi / 2
     folded = xp.where(upper, (pi - theta) + PI_REST, theta)
