@@ -535,7 +535,8 @@ def _refined(
         squares = float(np.sum(columns[-1] ** 2))
         if squares < least:
             gain, least, best, fitted = least - squares, squares, trial, path
-            rows = np.linalg.qr(np.stack(columns, axis=-1), mode="r")
+            # An array: to the types of NumPy before 2.5 it is Q and R.
+            rows = np.asarray(np.linalg.qr(np.stack(columns, axis=-1), mode="r"))
             own, left = rows[:, :2], rows[:, 2:].reshape(-1, number + 1)
             values = np.linalg.lstsq(left[:, 2:-1], -left[:, -1])[0]
             inverse = np.linalg.pinv(own[..., :2], 1e-6)  # a velocity that friction stops is lost
