@@ -2,7 +2,8 @@
 
 What XLA compiles is kept with pytest's own cache: workers of pytest-xdist, the processes that tests
 start and the next run do not compile the same again. JAX tells programs apart by what is compiled,
-by its own version and by its options; ``--cache-clear`` deletes them. The user's cache is not
+by its own version and by its options; but what it writes on Python 3.14 older ones do not read, and
+so each version of Python has a folder. ``--cache-clear`` deletes them. The user's cache is not
 touched.
 """
 
@@ -10,6 +11,7 @@ import ctypes
 import gc
 import os
 import resource
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -45,7 +47,8 @@ _forget_at = 17 << 25  # bytes of a process, from which on it forgets what it ha
 def pytest_configure(config: pytest.Config) -> None:
     """Name the folder of compiled programs to all processes; workers have it from their parent."""
     if "PYTEST_XDIST_WORKER" not in os.environ and config.pluginmanager.has_plugin("cacheprovider"):
-        jaxstab.use_compilation_cache(config.cache.mkdir("programs"))
+        folder = "programs-{}.{}".format(*sys.version_info)
+        jaxstab.use_compilation_cache(config.cache.mkdir(folder))
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -4,11 +4,9 @@ The truth: ``scipy.signal`` for filters, certified roots of a polynomial that py
 the filters' difference equations, and a loop that is simulated sample by sample.
 """
 
-import re
 from collections.abc import Callable
 from dataclasses import fields
 from inspect import isclass
-from pathlib import Path
 from typing import Any
 
 import flint
@@ -828,25 +826,6 @@ def test_long_windows_are_answered(count: int) -> None:
 
 
 KINDS = [kind for kind in vars(filters).values() if isclass(kind) and issubclass(kind, Section)]
-
-
-def test_files_outside_of_one_do_not_name_a_kind_of_filter() -> None:
-    names = {kind.__name__ for kind in KINDS} - {"Section", "Rational"}  # a device has a Rational
-    words = {repr(kind.kind).replace("'", '"') for kind in filters.LOW_PASSES}
-    pattern = re.compile("|".join([*(rf"\b{name}\b" for name in sorted(names)), *sorted(words)]))
-    package = Path(jaxstab.__file__).parent
-    naming = {
-        path.relative_to(package).as_posix()
-        for path in package.rglob("*.py")
-        if any(
-            pattern.search(line.partition("#")[0])
-            for line in path.read_text(encoding="utf-8").splitlines()
-        )
-    }
-    own = {"model/filters.py", "model/filter_tables.py"}
-    assert naming == {*own, "model/loop.py"}  # which counts windows
-
-
 OF_POSITIONS = [kind for kind in KINDS if kind not in (Section, filters.Measured)]
 
 

@@ -3,8 +3,6 @@
 import os
 import re
 import shlex
-import subprocess
-import sys
 import tomllib
 from collections.abc import Iterator
 from operator import attrgetter
@@ -148,13 +146,6 @@ def test_the_paper_cites_what_its_bibliography_has() -> None:
     has = re.findall(r"^@\w+{(\w+),", (DOCS / "paper.bib").read_text("utf-8"), re.MULTILINE)
     assert cited == set(has)
     assert len(has) == len(cited)
-
-
-def test_the_spelling_is_right() -> None:
-    pytest.importorskip("codespell_lib")
-    words = [sys.executable, "-m", "codespell_lib", "docs", "jaxstab", *sorted(ROOT.glob("*.md"))]
-    spelled = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert spelled.returncode == 0, spelled.stdout + spelled.stderr
 
 
 def test_the_tables_of_accuracy_are_those_of_the_records() -> None:
