@@ -17,6 +17,7 @@ BENCHMARKS = (
     "latency", "boundary", "regions", "answers", "resolution", "throughput", "accelerator",
     "scaling", "ranges", "loops", "many", "exact", "polynomials", "rivals", "stress", "measured",
 )  # fmt: skip
+OF_THE_EXTRA = {"control", "mpmath", "mujoco"}  # truths and rivals, in the extra `test`
 
 
 def main() -> int:
@@ -53,16 +54,28 @@ def main() -> int:
     if choice.name is None and not choice.small:
         return _each_in_its_process(sys.argv[1:])
     for name in [choice.name] if choice.name else BENCHMARKS:
-        keep = partial(_keep, name, choice.small, choice.out)
-        rows_of = import_module(f"benchmarks.{name}").rows
-        given = {"billion": choice.billion, "points": choice.points, "keep": keep}
-        options = {k: v for k, v in given.items() if v and k in signature(rows_of).parameters}
-        own = {"benchmark": name, "small": choice.small, "machine": record.machine()}
-        path = record.path_of(own, choice.out)
-        before = record.read(path) if path.exists() else None
-        kept = keep(record.shown(rows_of(choice.small, **options)))
-        print(*record.comparison(record.read(kept), before), kept, sep="\n")
+        try:
+            _measure(name, choice)
+        except ModuleNotFoundError as error:
+            if error.name not in OF_THE_EXTRA:
+                raise
+            sys.exit(
+                f"`python -m benchmarks {name}` needs {error.name}, which is not installed; "
+                "run `python -m pip install '.[test]'` first."
+            )
     return 0
+
+
+def _measure(name: str, choice: argparse.Namespace) -> None:
+    keep = partial(_keep, name, choice.small, choice.out)
+    rows_of = import_module(f"benchmarks.{name}").rows
+    given = {"billion": choice.billion, "points": choice.points, "keep": keep}
+    options = {k: v for k, v in given.items() if v and k in signature(rows_of).parameters}
+    own = {"benchmark": name, "small": choice.small, "machine": record.machine()}
+    path = record.path_of(own, choice.out)
+    before = record.read(path) if path.exists() else None
+    kept = keep(record.shown(rows_of(choice.small, **options)))
+    print(*record.comparison(record.read(kept), before), kept, sep="\n")
 
 
 def _keep(name: str, small: bool, folder: Path, rows: Iterable[Row]) -> Path:

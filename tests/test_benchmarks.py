@@ -7,12 +7,15 @@ import json
 import os
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable
+from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from packaging.requirements import Requirement
 
 from benchmarks import record
 from benchmarks.__main__ import BENCHMARKS
@@ -40,6 +43,9 @@ ROW = {
     "error": (int, float),
     "error_measure": str,
 }
+
+
+WITHOUT_EXTRAS = {"answers", "resolution", "accelerator", "many", "measured"}
 
 
 def run_benchmarks(*arguments: str) -> str:
@@ -220,6 +226,53 @@ def test_a_plot_of_nothing_says_what_to_run_first(tmp_path: Path) -> None:
     assert completed.returncode != 0
     assert "python -m benchmarks" in completed.stderr
     assert "Traceback" not in completed.stderr
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The Python of an environment as `pip install .` leaves it: links to what jaxstab needs."""
+    folder = tmp_path_factory.mktemp("plain")
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder], check=True)
+    (packages,) = folder.glob("lib/python*/site-packages")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    wanted, seen = [*map(Requirement, project["dependencies"])], set()
+    while wanted:
+        one = wanted.pop()
+        if one.name in seen or (one.marker and not one.marker.evaluate({"extra": ""})):
+            continue
+        seen.add(one.name)
+        needed = distribution(one.name)
+        wanted += map(Requirement, needed.requires or ())
+        for part in {file.parts[0] for file in needed.files or ()} - {"..", "__pycache__"}:
+            if not (packages / part).exists():  # packages may share a folder
+                (packages / part).symlink_to(needed.locate_file(part))
+    return folder / "bin" / "python"
+
+
+@pytest.mark.parametrize("name", BENCHMARKS)
+def test_a_benchmark_runs_after_a_plain_install_or_names_the_extra_that_it_needs(
+    name: str, plain: Path, tmp_path: Path
+) -> None:
+    done = subprocess.run(
+        [plain, "-m", "benchmarks", name, "--small", "--out", tmp_path],
+        cwd=ROOT,
+        env={k: v for k, v in os.environ.items() if k != "PYTHONPATH"} | QUICK,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if name in WITHOUT_EXTRAS:
+        assert done.returncode == 0, done.stderr
+        (kept,) = tmp_path.glob("small/*.json")
+        versions = json.loads(kept.read_text(encoding="utf-8"))["versions"]
+        assert {"jax", "numpy"} <= set(versions)
+        assert {"control", "mpmath"}.isdisjoint(versions)
+    else:
+        assert done.returncode == 1
+        assert done.stderr == (
+            f"`python -m benchmarks {name}` needs mpmath, which is not installed; "
+            "run `python -m pip install '.[test]'` first.\n"
+        )
 
 
 def test_stress_finds_no_wrong_certified_answer_and_names_its_worst_loops(
