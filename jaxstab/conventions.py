@@ -63,10 +63,6 @@ class Verdict(Code):
     UNDECIDED = 3
 
 
-MEASURED = "from measured data, not proved"
-"""The words of every answer about a device that was measured."""
-
-
 class Status(Code):
     """A status: a small integer with a description.
 

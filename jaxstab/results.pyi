@@ -23,8 +23,6 @@ from .loop import ManyGainLimits as ManyGainLimits
 from .loop import ManyLimits as ManyLimits
 from .loop import ManyRegions as ManyRegions
 from .loop import Margins as Margins
-from .loop import MeasuredMargins as MeasuredMargins
-from .loop import MeasuredVerdict as MeasuredVerdict
 from .loop import MovingLimits as MovingLimits
 from .loop import OptimalWall as OptimalWall
 from .loop import StableEnd as StableEnd

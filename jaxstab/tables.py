@@ -56,9 +56,6 @@ def read_table(path: str | PathLike[str], kind: str) -> dict[str, Any]:
     for other, (keys, words) in _KINDS.items():
         if kind != other and keys & {*table} and not _KINDS[kind][0] & {*table}:
             raise ValueError(f"{path} is {words}")
-    device = table.get("device")
-    if isinstance(device, dict) and isinstance(device.get("response"), str):  # beside the scene
-        device["response"] = str(Path(path).parent / device["response"])
     return table
 
 

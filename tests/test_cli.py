@@ -271,7 +271,6 @@ def test_what_is_asked_once_does_not_load_jax(commands: list[list[str]], tmp_pat
 _WRITES = {
     "limits": ("limits", "{}", "--csv", "{}"),
     "link": ("limits", "{}", "--csv", "link.toml"),
-    "response": ("limits", "measured.toml", "{}", "--csv", "log.csv"),
     "study": ("study", "{}", "--over", "device.mass=1,2", "--csv", "{}"),
     "draws": ("study", "{}", "--over", "device.mass=csv:log.csv:m", "--csv", "log.csv"),
     "guard": ("guard", "{}", "-o", "{}"),
@@ -311,9 +310,6 @@ def test_a_command_never_replaces_what_it_reads(
     for ending in ("toml", "svg", "png", "json", "html"):
         (tmp_path / f"scene.{ending}").write_text(EXAMPLE)
     (tmp_path / "link.toml").symlink_to("scene.toml")
-    (tmp_path / "measured.toml").write_text(
-        '[device]\nresponse = "log.csv"\n[controller]\nsample_time = 1e-3\n'
-    )
     for robot in (Path(__file__).parents[1] / "data/robots").iterdir():
         shutil.copy(robot, tmp_path)
     (tmp_path / "log.csv").write_text("time,force,position,m\n0,1,2,3\n")

@@ -318,6 +318,8 @@ def test_a_hand_beside_a_mode_of_negative_mass_is_refused() -> None:
 def test_what_is_no_device_is_refused() -> None:
     with pytest.raises(TypeError, match="TransferFunction or StateSpace"):
         Device.from_control("device")
+    with pytest.raises(TypeError, match="fitted to the data if they are a frequency response"):
+        Device.from_control(control.frd([1.0, 0.5j], [1.0, 2.0]))
     with pytest.raises(TypeError, match="Hand"):
         Device.mass_spring_damper(1.0).held_by(1.0)  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="Mode"):

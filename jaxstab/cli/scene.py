@@ -271,7 +271,7 @@ def _answer(
         words = "is given, but what walls need of one quantity is asked for; leave it out."
         refuse({name: given.get(name) for name in others}, words)
 
-    make: Any = partial(scenes.any_scene, may_be_measured=True)
+    make: Any = scenes.any_scene
     make = partial(scenes.Backwards.from_table, asked=asked) if asked else make
     is_one, rows = len(given["files"]) <= 1, list[_Row]()
     refusals = () if is_one else (ValueError, TypeError, RuntimeError)
@@ -311,8 +311,6 @@ def _answer(
 
 def _require_picture(scene: Any, name: str, *, is_one: bool) -> None:
     """Refuse a picture of what has none, before anything is computed."""
-    if isinstance(scene, scenes.MeasuredScene):
-        raise click.UsageError("a measured response has no picture; leave --plot out.")
     if isinstance(scene, scenes.GainScene):
         if not is_one:
             raise click.UsageError("a picture of several scenes is for walls; give one FILE.")

@@ -45,7 +45,7 @@ from typing import NamedTuple
 
 from flint import acb, acb_poly, arb, arb_poly, ctx
 
-from jaxstab.conventions import MEASURED, Status
+from jaxstab.conventions import Status
 from jaxstab.exact.circle import is_patient, zeros
 from jaxstab.exact.roots import Number, TripleAt, is_sharp, roots_outside, sign_of
 from jaxstab.model.balls import Factored
@@ -65,7 +65,6 @@ class LineStatus(Status):
         "3,072 bits do not tell all crossings of the circle, or the counts between them, or the "
         "leading coefficient vanishes all along the line: the loop is algebraic",
     )
-    MEASURED = 3, MEASURED
 
 
 class End(NamedTuple):

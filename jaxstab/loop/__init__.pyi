@@ -26,8 +26,6 @@ from .margins import FrequencyMargins as FrequencyMargins
 from .margins import GainMargins as GainMargins
 from .margins import Margins as Margins
 from .margins import margins as margins
-from .measured import MeasuredMargins as MeasuredMargins
-from .measured import MeasuredVerdict as MeasuredVerdict
 from .region import GainRegion as GainRegion
 from .region import Gains as Gains
 from .region import WallLimits as WallLimits

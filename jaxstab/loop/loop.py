@@ -22,7 +22,6 @@ from jaxstab.loop.margins import (
     margins,
     wall_frequency_margins,
 )
-from jaxstab.loop.measured import measured
 from jaxstab.loop.region import (
     TOLERANCE,
     Gains,
@@ -180,8 +179,6 @@ class HapticLoop(LoopParameters, TwoGains):
         """
         if delays is not None or lost:
             return self._moving(delays, lost).limits()
-        if found := measured(self):
-            return found.limits()
         if is_any_traced(self):
             from jaxstab.loop.many import limits_of
 
@@ -229,7 +226,7 @@ class HapticLoop(LoopParameters, TwoGains):
 
     def _reached(self, gain: str, value: Numbers) -> Float64[np.ndarray, "2"] | None:
         is_one = isinstance(value, int | float | np.floating | np.integer)
-        if not is_one or is_any_jax(self) or array_fields(self) or measured(self):
+        if not is_one or is_any_jax(self) or array_fields(self):
             return None
         checked_gain(gain, value)
         return reached_interval(self, gain, float(value))
@@ -266,10 +263,6 @@ class HapticLoop(LoopParameters, TwoGains):
             [(9.457, 181.026)]
         """
         return self.intervals(stiffness=stiffness)
-
-    def _line(self, start: tuple[float, float], along: tuple[float, float]) -> StableLine:
-        found = measured(self)
-        return found.line(start, along) if found else super()._line(start, along)
 
     def range_of(
         self,
@@ -517,8 +510,6 @@ class HapticLoop(LoopParameters, TwoGains):
         checked_word("resolve", resolve or "exact", ("exact",))
         if delays is not None or lost:
             return self._moving(delays, lost).verdict(stiffness, damping)
-        if found := measured(self):
-            return found.verdict(stiffness, damping)
         pair = {"stiffness": stiffness, "damping": damping}
         grid = self._few(pair)
         codes = self._codes(pair, resolve=resolve) if grid is None else self._verdicts(grid)
@@ -853,8 +844,6 @@ class HapticLoop(LoopParameters, TwoGains):
         )  # fmt: skip
 
     def _frequency_margins(self, first: Numbers, second: Numbers) -> FrequencyMargins:
-        if found := measured(self):
-            return found.frequency_margins(first, second)
         return wall_frequency_margins(self.in_floats(), first, second)
 
     def _in_units(self, first: Numbers, second: Numbers) -> tuple[Array, Array]:

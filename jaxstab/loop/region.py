@@ -84,8 +84,7 @@ class WallLimits(NamedTuple):
             return words + is_negative * "; no wall with K >= 0 and B >= 0 is stable"
         extremes = self[:2], (self.at_stiffness, self.damping)
         islands = [island[:2] for island in self.islands]
-        text = limits_text(words, _NAMES, extremes, islands, is_reachable=bool(self.is_reachable))
-        return text.rpartition("\n")[0] if self.status == RegionStatus.MEASURED else text
+        return limits_text(words, _NAMES, extremes, islands, is_reachable=bool(self.is_reachable))
 
 
 @dataclass(frozen=True, repr=False)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int
 
 from jaxstab.arrays import Array, Numbers, float_arrays, namespace
-from jaxstab.conventions import MEASURED, Status
+from jaxstab.conventions import Status
 from jaxstab.model import checked_gain, require_x64
 from jaxstab.numbers import require_together, without_noise
 from jaxstab.region import measures
@@ -169,8 +169,7 @@ class RegionStatus(Status):
     by a scan (in balls where float64 is not clear) nor on proved lines through the wall without
     gains. UNRESOLVED: the boundary does not close, or a proved line contradicts it. Such a region
     claims nothing: it has no points, its numbers are NaN and ``contains`` is False everywhere,
-    which does not mean that the points are unstable. MEASURED: limits, without a region, of a
-    device that was measured.
+    which does not mean that the points are unstable.
 
     Example:
         >>> jaxstab.results.RegionStatus(2).words
@@ -180,7 +179,6 @@ class RegionStatus(Status):
     COMPLETE = 0, "the boundary closes to loops"
     EMPTY = 1, "no gains are stable"
     UNRESOLVED = 2, "the boundary was not resolved: nothing is claimed"
-    MEASURED = 3, MEASURED
 
 
 # The connected components of a stable set, each bounded by a loop, and by those around its holes.

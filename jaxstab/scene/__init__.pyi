@@ -3,7 +3,6 @@ from .answers import explain_model as explain_model
 from .check import check_walls as check_walls
 from .contact import simulate_contacts as simulate_contacts
 from .gains import GainScene as GainScene
-from .gains import MeasuredScene as MeasuredScene
 from .gains import any_scene as any_scene
 from .gains import explain_gains as explain_gains
 from .limits import scene_limits as scene_limits

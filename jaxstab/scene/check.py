@@ -92,9 +92,8 @@ def _rows(
     elif f"{first}_limits" in values:
         letters = ("K", "B") if of_wall else (first, second)
         places = zip((first, second), letters, own[::-1], strict=True)
-        known = "known " * ("certainty" in inputs.values)  # from measured data
         beside = [
-            stable_in_words(letter, name, place, said.get(f"{name}_limits_low"), said, known)
+            stable_in_words(letter, name, place, said.get(f"{name}_limits_low"), said)
             for name, letter, place in places
         ]
         yield f"  stable {'walls' if of_wall else 'gains'}", "; ".join(beside)

@@ -19,11 +19,10 @@ from math import isfinite, isnan
 from typing import Any, ClassVar
 
 from jaxstab import loop as doors
-from jaxstab import model
 from jaxstab import tables as t
-from jaxstab.conventions import MEASURED, Verdict
+from jaxstab.conventions import Verdict
 from jaxstab.exact import LineStatus, stable_line
-from jaxstab.loop import Gain, HapticLoop, Loop
+from jaxstab.loop import Gain, Loop
 from jaxstab.model.affine import affine_triple
 from jaxstab.numbers import without_noise
 from jaxstab.rounding import EPS
@@ -32,14 +31,11 @@ from jaxstab.scene.check import frequency_answer
 from jaxstab.scene.limits import StableGains
 from jaxstab.scene.loops import device_of, hands_of, loop_of
 from jaxstab.scene.scene import (
-    Controller,
     Device,
     Hand,
     PositionTable,
     Scene,
     Units,
-    Wall,
-    walls_in,
 )
 from jaxstab.scene.tune import largest_value
 
@@ -379,109 +375,11 @@ _ANSWERS: Mapping[str, Callable[[GainScene], GainAnswer]] = {
 }
 
 
-# Scenes of a device that was measured: ``[device] response = "sweep.csv"``, beside the scene. A
-# hand that held the device is in it. Their walls are judged from measured data, not proved.
-
-
-def _file_name(value: Any) -> str:
-    if not isinstance(value, str) or not value:
-        raise ValueError("give the name of a CSV file")
-    return value
-
-
-@dataclass(frozen=True, kw_only=True)
-class MeasuredDevice(t.Table):
-    """A device by the file of its response, its relative error, and whether it turns."""
-
-    response: str = t.key(_file_name)
-    error: float | None = t.key(t.tolerance, None)
-    turns: bool = t.key(t.truth, False)
-
-
-@dataclass(frozen=True, kw_only=True)
-class MeasuredWanted(t.Table):
-    """The wishes about a measured device."""
-
-    frequency: bool = t.key(t.truth, False)
-
-
-@dataclass(frozen=True)
-class MeasuredScene:
-    """The loop of a measured device, and walls by name."""
-
-    loop: HapticLoop
-    units: Units
-    walls: dict[str, Wall]
-    asks_frequency: bool
-
-    @classmethod
-    def from_table(cls, tables: Mapping[str, Any]) -> "MeasuredScene":
-        """Check a table of tables; ValueError on the first key that is unknown, missing or bad."""
-        if "hand" in tables:
-            raise ValueError(
-                "hand is given beside device.response, which has the hand in it that held the "
-                "device; leave [hand] out."
-            )
-        t.check_keys("", tables, ["device", "controller", "walls", "wanted"])
-        device = MeasuredDevice.from_table(tables["device"], "device")
-        controller = Controller.from_table(tables.get("controller", {}), "controller")
-        controller.require_one_delay("an answer about a measured response")
-        wanted = MeasuredWanted.from_table(tables.get("wanted", {}), "wanted")
-        loop = HapticLoop(
-            device=model.Device.from_response(device.response, error=device.error),
-            sample_time=controller.sample_time,
-            delay=controller.time_delay,
-            velocity=controller.estimator,
-            position=controller.position_filter,
-        )
-        units = Units.ROTATION if device.turns else Units.LINE
-        walls = walls_in(tables.get("walls", {}))
-        return cls(loop, units, walls, wanted.frequency)
-
-    def unusual(self) -> list[str]:
-        """There is no number of which unusual values are known."""
-        return []
-
-    def answer(self, command: str) -> GainAnswer:
-        """The limits, or what is known of the walls; ValueError for another command."""
-        if command not in ("limits", "check"):
-            raise ValueError(
-                f"{command} needs a model, but the device is a measured response; limits and check "
-                "answer, and jaxstab identify fits a model to a log."
-            )
-        if command == "check" and not self.walls:
-            raise ValueError("walls is empty; give at least one wall with stiffness and damping.")
-        loop, stable = self.loop, StableGains(self.loop, units=self.units)
-        plural = "" if loop.delay_samples == 1.0 else "s"
-        inputs = {
-            "device": str(loop.device),
-            "velocity": str(loop.velocity or "the difference over one sample (assumed)"),
-            "position": None if loop.position is None else str(loop.position),
-            "delay": f"{loop.delay_samples:g} sample{plural} beside what was measured",
-            "certainty": MEASURED,
-        }
-        values: dict[str, Any] = {"inputs": GainAnswer(inputs), "safety": None}
-        walls = {name: stable.around(dict(vars(wall))) for name, wall in self.walls.items()}
-        if command == "limits":
-            first, second = loop.gains
-            values |= {"best": stable.limit(first, *loop.limits()[:2])}
-            values |= {"most_damped": stable.limit(second, *loop.limits()[2:4])}
-        for name, own in walls.items() if command == "check" else ():
-            found = loop.frequency_margins(*vars(self.walls[name]).values())
-            margins = frequency_answer(found, in_full=self.asks_frequency)
-            walls[name] = replace(own, values=own.values | {"margins_over_frequency": margins})
-        return GainAnswer(values | {"walls": walls})
-
-
-def any_scene(tables: Mapping[str, Any], source: str = "", *, may_be_measured: bool = False) -> Any:
-    """The scene of walls, of another loop or of a measured device; ValueError with its source."""
-    device = tables.get("device")
-    kind: Any = GainScene if "loop" in tables else None
-    if may_be_measured and isinstance(device, Mapping) and "response" in device:
-        kind = MeasuredScene
-    if kind is None:
+def any_scene(tables: Mapping[str, Any], source: str = "") -> Any:
+    """The scene of walls or of another loop; ValueError with its source."""
+    if "loop" not in tables:
         return Scene.from_table(tables, source)
     try:
-        return kind.from_table(tables)
+        return GainScene.from_table(tables)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{source}: {error}" if source else str(error)) from None

@@ -175,9 +175,7 @@ def stable_intervals(
 
 
 def inner_ends(line: StableLine) -> list[tuple[float, float]]:
-    """The ends of the intervals of a line, within their errors; measured ones are inside."""
-    if line.status == LineStatus.MEASURED:
-        return [(low.value, high.value) for low, high in line.intervals]
+    """The ends of the intervals of a line, within their errors."""
     return [(_inner(low, 1.0), _inner(high, -1.0)) for low, high in line.intervals]
 
 
@@ -246,16 +244,15 @@ def _pair_text(pair: Answer, key: str, said: Mapping[str, str]) -> str:
     gains = f"{said[key + own]} at {said[key + other]}"
     verdicts = (said[key + name] for name in ("verdict", "worst_delays") if key + name in said)
     ends, exception = said.get(f"{key}{own}_limits_low"), said.get(f"{key}exception")
-    known = "known " * ("inputs.certainty" in said)  # of measured data, which may not tell
     if ends is None or said[f"{key}verdict"] == loops.BUT_FOR_DRIFT:
         words = f"{gains}, {', '.join(verdicts)}"
     elif ends == Quantity.absent:
-        words = f"{gains}, where no {own} is {'known to be ' if known else ''}stable"
+        words = f"{gains}, where no {own} is stable"
     else:
         low, high = getattr(pair, f"{own}_limits")
         place = "within" if low < getattr(pair, own) < high else "outside"
         others = others_in_words(f"{key}other_{own}", said)
-        words = f"{gains}, {place} the {known}stable range of {ends}{others}"
+        words = f"{gains}, {place} the stable range of {ends}{others}"
     return "; ".join(filter(None, [words, exception]))
 
 
@@ -266,13 +263,13 @@ def others_in_words(key: str, said: Mapping[str, str]) -> str:
 
 
 def stable_in_words(
-    name: str, own: str, place: str, ends: str | None, said: Mapping[str, str], known: str = ""
+    name: str, own: str, place: str, ends: str | None, said: Mapping[str, str]
 ) -> str:
-    """The stable values of a gain at a value of the other one, or that there are none ``known``."""
+    """The stable values of a gain at a value of the other one, or that there are none."""
     if ends is None:
         return f"{name} is not resolved at {place}"
     every = f"{name} from {ends}{others_in_words(f'other_{own}', said)}"
-    return f"{every if ' to ' in ends else f'no {known}{name}'} at {place}"
+    return f"{every if ' to ' in ends else f'no {name}'} at {place}"
 
 
 # The walls of a scene.

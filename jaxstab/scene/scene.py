@@ -599,11 +599,6 @@ class Scene:
                     "the scene has a table [loop], but this answer is for walls; limits, check, "
                     "tune, design and study answer for other loops."
                 )
-            if isinstance(table.get("device"), Mapping) and "response" in table["device"]:
-                raise ValueError(
-                    "device.response is measured and no model, which this answer needs; limits "
-                    "and check answer, and jaxstab identify fits a model to a log."
-                )
             t.check_keys("", table, [*TABLES, "walls"])
             given = {"device": {}, "controller": {}, **table}  # which must not be left out
             tables: dict[str, Any] = {

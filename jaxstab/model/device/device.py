@@ -28,14 +28,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Complex128
 
-from jaxstab.arrays import Numbers
 from jaxstab.model.device.discrete import (
     INTEGRATORS,
     InSteps,
-    MeasuredResponse,
     Simulated,
     checked_discrete,
-    checked_response,
 )
 from jaxstab.model.device.parts import (
     Coefficients,
@@ -72,7 +69,7 @@ def _sides_of(system: Any) -> list[Any]:
     if not (hasattr(system, "num") and hasattr(system, "den")):
         raise TypeError(
             f"system is {shortened(system)}; give a TransferFunction or StateSpace of "
-            "python-control or scipy.signal."
+            "python-control or scipy.signal, fitted to the data if they are a frequency response."
         )
     sides = [system.num, system.den]
     if isinstance(system.num, list):  # python-control: a row of lists for each output
@@ -224,13 +221,9 @@ class Device:
         a device in z of order 2, steps of 0.001 s
         >>> print(jaxstab.Device.simulated(0.1, step=2e-3))
         a simulated inertia of 0.1, steps of 0.002 s
-        >>> hertz = np.linspace(1.0, 500.0, 500)
-        >>> moved = -1.0 / (0.25 * (2.0 * np.pi * hertz) ** 2)
-        >>> print(jaxstab.Device.from_response(hertz, moved, error=0.01))
-        a response measured at 500 frequencies, 1 to 500 Hz
     """
 
-    mechanism: MassSpringDamper | Modes | TransferFunction | StateSpace | InSteps | MeasuredResponse
+    mechanism: MassSpringDamper | Modes | TransferFunction | StateSpace | InSteps
     hands: tuple[Hand, ...] = ()
     bandwidths: tuple[float, ...] = ()
 
@@ -339,48 +332,18 @@ class Device:
         return cls(Simulated(step, inertia, damping, stiffness, rule))
 
     @classmethod
-    def from_response(
-        cls, frequency: Any, response: Any = None, *, error: Numbers = None
-    ) -> "Device":
-        """A device by its frequency response, measured at the sampling of its loop: not a model.
-
-        It leads from the force that the loop commands to the position that it reads, so hold,
-        delays, actuator and hand are in it. Its loop answers ``verdict``, ``limits``,
-        ``stiffness_intervals``, ``damping_intervals`` and ``frequency_margins``, all from measured
-        data and not proved, and refuses all else. The loop's ``delay`` is one beside those that
-        were measured, in whole samples.
-
-        Args:
-            frequency: in Hz, (n,), up to half of the sampling rate; or the path of a CSV file with
-                a column frequency, the columns real and imaginary in m/N, or gain in m/N and phase
-                in degrees, and, if it is known, error.
-            response: position over force in m/N, complex, (n,).
-            error: its largest relative error, one number or (n,). Answers then hold for every
-                response within it. None takes the response as it is.
-
-        Raises: see ``jaxstab.conventions``; ValueError also for fewer than 8 frequencies, one that
-        is there twice, or a phase that no device has.
-
-        Source: the criterion of Nyquist (1932).
-        """
-        return cls(checked_response(frequency, response, error))
-
-    @classmethod
     def from_control(cls, system: Any) -> "Device":
         """A device from a system of python-control or ``scipy.signal``, in s or in z.
 
         It is a TransferFunction, StateSpace or (scipy's) ZerosPolesGain, of one force in N and one
         position in m; one that is sampled, with its dt in s, is ``discrete``. ``held_by`` lets the
         hand act at these; where it is elsewhere, give a StateSpace in s whose second input and
-        output are the hand's force and its position. Frequency response data (FRD) of
-        python-control are a ``from_response``.
+        output are the hand's force and its position. To frequency response data fit a
+        TransferFunction first.
 
         Raises: TypeError if it is of another kind; ValueError if it is not (in s: strictly) proper,
         or has more inputs or outputs.
         """
-        if hasattr(system, "omega") and hasattr(system, "frdata"):
-            _refuse_many(*np.shape(system.frdata)[1::-1])
-            return cls.from_response(system.omega / (2.0 * np.pi), system.frdata[0, 0])
         sides, step = _sides_of(system), getattr(system, "dt", None)
         if step is True:
             raise ValueError("the system is sampled, with dt = True; give its step in s.")

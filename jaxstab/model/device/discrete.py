@@ -1,4 +1,4 @@
-"""Devices that are known at samples alone: in z, as physics engines step them, or measured.
+"""Devices that are known at samples alone: in z, as physics engines step them.
 
 A step is x+ = F x + G u, and position and, where it is a second output, velocity are C x + D u, in
 exact numbers. A controller that acts every n steps, and whose force is late by d = w n + f of them,
@@ -9,24 +9,17 @@ meets with Gamma_j = G + F G + ... + F^(j-1) G
 and C adj(z - F^n) Gamma_n, one sample less late, for f = 0. c adj(z - M) v is det(z - M + v c) -
 det(z - M). There is no motion between the steps: hands, actuators and whatever else needs a
 function of s are refused by ``ports``, which they all ask for.
-
-So it is with a response that was measured, from the force that a loop commands at a sample to the
-position that it reads: hold, amplifier, transport, motor, hand and encoder are in it. Between the
-frequencies, and below and above them, nothing is known; what can be asked is in ``loop.measured``.
 """
 
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from math import isclose
-from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jaxstab.model.device.parts import HIGHEST_ORDER, Part, Ports, exact, flint, polynomial
-from jaxstab.numbers import checked, checked_number, require_unmasked
-from jaxstab.shown import shortened
-from jaxstab.tables import columns_of
+from jaxstab.numbers import checked, checked_number
 
 if TYPE_CHECKING:
     from flint import fmpq, fmpq_mat, fmpq_poly, fmpz, fmpz_mat
@@ -244,96 +237,3 @@ class Simulated(InSteps):
             response = flint.fmpq_mat([[1, step * kept], [0, kept]])
         outputs = [(flint.fmpq_mat([row]), flint.fmpq(0)) for row in ([1, 0], [0, 1])]
         return rate**0 + response * rate * step, response * torque * step, outputs
-
-
-# ---------------------------------------------------------------------------- measured responses
-_FEWEST = 8  # frequencies
-_SIGN = 70.0  # degrees from those of a mass, a damper and a spring: the axis has the other sign
-_FLAT = 30.0  # degrees, more than phases in radians have
-
-
-@dataclass(frozen=True)
-class MeasuredResponse(Part):
-    """Frequencies in Hz, the response there in m/N, and its relative error."""
-
-    frequency: tuple[float, ...]
-    response: tuple[complex, ...]
-    error: tuple[float, ...]
-
-    def call(self, kind: str) -> str:
-        """The call that makes a device of it, in short."""
-        return f"{kind}.from_response(<{len(self.frequency)} frequencies>)"
-
-    def __str__(self) -> str:
-        low, high = self.frequency[0], self.frequency[-1]
-        return f"a response measured at {len(self.frequency)} frequencies, {low:g} to {high:g} Hz"
-
-    def ports(self) -> Ports:
-        """There are none: ValueError."""
-        raise ValueError(
-            f"the device ({self}) has no model to answer this: ask verdict, limits, "
-            "stiffness_intervals, damping_intervals or frequency_margins, measure with hand and "
-            "actuator, or fit a model with jaxstab.identify."
-        )
-
-
-def checked_response(frequency: Any, response: Any, error: Any) -> MeasuredResponse:
-    """A response in the order of its frequencies; ``frequency`` may be a file with all columns."""
-    if isinstance(frequency, str | PathLike):
-        frequency, response, read = _columns(frequency)
-        error = read if error is None else error
-    frequencies = np.ravel(checked("frequency", frequency, 0.0, is_open=True, unit="Hz"))
-    require_unmasked("response", response)
-    try:
-        values = np.ravel(response)
-    except ValueError:  # rows of different lengths
-        values = np.array([None])
-    if values.dtype.kind not in "iufc":
-        raise TypeError(f"response is {shortened(response)}; give complex numbers in m/N.")
-    values = values.astype(np.complex128)
-    checked("response", np.stack([values.real, values.imag]))
-    errors = np.ravel(checked("error", 0.0 if error is None else error, 0.0, 1.0))
-    if len(values) != len(frequencies) or len(errors) not in (1, len(values)):
-        raise ValueError(
-            f"response has {len(values)} values and error {len(errors)}, but frequency has "
-            f"{len(frequencies)}; give one value for each frequency, and one error or as many."
-        )
-    order = np.argsort(frequencies)
-    frequencies, values = frequencies[order], values[order]
-    errors = np.broadcast_to(errors, values.shape)[order]
-    if len(values) < _FEWEST or not np.all(np.diff(frequencies) > 0.0) or not np.all(values):
-        raise ValueError(
-            f"the response has {len(values)} frequencies, or one twice, or is 0; give at least "
-            f"{_FEWEST}, each once, that move the device."
-        )
-    phase = float(np.degrees(np.angle(values[0])))
-    if _SIGN < phase < 180.0 - _SIGN:
-        raise ValueError(
-            f"the phase at {frequencies[0]:g} Hz is {phase:.0f} degrees, but a device follows "
-            "slow forces by 0 (a spring) to -180 degrees (a mass); give force and position of one "
-            "sign, and begin with lower frequencies."
-        )
-    turn = float(np.degrees(np.max(abs(np.angle(values)))))
-    if turn < _FLAT and np.ptp(np.log10(abs(values))) > 1.0:
-        raise ValueError(
-            f"the response turns by {turn:.3g} degrees at most while its gain changes more than "
-            "tenfold, as that of no device; give phases in degrees, not in radians."
-        )
-    return MeasuredResponse(*(tuple(each.tolist()) for each in (frequencies, values, errors)))
-
-
-def _columns(file: "str | PathLike[str]") -> tuple[Any, Any, Any]:
-    """Frequencies, responses and errors, if there are some, of a CSV file."""
-    parts = "real", "imaginary", "gain", "phase", "error"
-    table = {name: np.array(own) for name, own in columns_of(file, ["frequency"], parts).items()}
-    if {"real", "imaginary"} <= table.keys():
-        response = table["real"] + 1j * table["imaginary"]
-    elif {"gain", "phase"} <= table.keys():
-        gain = checked("gain", table["gain"], 0.0, unit="m/N")
-        response = gain * np.exp(1j * np.radians(table["phase"]))
-    else:
-        raise ValueError(
-            f"{file} has no columns real and imaginary (m/N), nor gain (m/N) and phase (degrees), "
-            "beside frequency (Hz); give one of the two pairs."
-        )
-    return table["frequency"], response, table.get("error")
