@@ -30,7 +30,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-import jaxstab
 from jaxstab import HapticLoop, Velocity, Verdict
 from jaxstab.results import Contact
 
@@ -115,9 +114,9 @@ def amplitudes(device: Device, rng: np.random.Generator, starts: int) -> tuple[i
     phase = rng.uniform(size=shape)
     above, share = 0, 0.0
     for _ in range(_ROUNDS):
-        runs = jaxstab.contact_map(
-            device.loop, *wall, **causes, push=push, speed=speed, phase=phase,
-            one_sided=False, duration=_DURATION,
+        runs = device.loop.contact(
+            *wall, **causes, push=push, speed=speed, phase=phase,
+            one_sided=False, duration=_DURATION, path=False,
         )  # fmt: skip
         shares = runs.amplitude / bound
         above += int(np.count_nonzero(shares > 1.0 + _ROUNDING))
@@ -136,9 +135,9 @@ def ends(device: Device, rng: np.random.Generator, starts: int) -> Iterator[str]
     friction = np.where(rng.random(shape) < 0.2, 0.0, 10.0 ** rng.uniform(-2.5, 0.0, shape))
     push, speed = 10.0 ** rng.uniform(-1.0, 0.7, shape), rng.uniform(0.0, 0.3, shape)
     wall = device.stiffness[:, None], device.damping[:, None]
-    contact = jaxstab.contact_map(
-        device.loop, *wall, friction=friction, encoder=device.encoder,
-        phase=rng.uniform(size=shape), push=push, speed=speed, duration=_DURATION,
+    contact = device.loop.contact(
+        *wall, friction=friction, encoder=device.encoder,
+        phase=rng.uniform(size=shape), push=push, speed=speed, duration=_DURATION, path=False,
     )  # fmt: skip
     rests = _does_rest(contact)
     own = float(device.loop.device_damping)
@@ -166,11 +165,11 @@ def by_ratio(devices: int, runs: int) -> Iterator[str]:
         damping, encoder = mass / _T * 10.0 ** rng.uniform(-3.0, -1.0), 1e-5
         stiffness = hold * 2.0 * damping / _T
         count = 10.0 ** rng.uniform(-1.0, 1.0, runs)
-        contact = jaxstab.contact_map(
-            HapticLoop(device_mass=mass, device_damping=damping, sample_time=_T), stiffness, 0.0,
+        contact = HapticLoop(device_mass=mass, device_damping=damping, sample_time=_T).contact(
+            stiffness, 0.0,
             friction=stiffness * encoder / (2.0 * count), encoder=encoder,
             phase=rng.uniform(size=runs), duration=_LONG,
-            push=stiffness * encoder * 10.0 ** rng.uniform(0.0, 3.0, runs),
+            push=stiffness * encoder * 10.0 ** rng.uniform(0.0, 3.0, runs), path=False,
         )  # fmt: skip
         small = contact.amplitude <= _BUZZ * encoder
         ends = np.where(_does_rest(contact), "rests", np.where(small, "buzzes", "moves"))
@@ -235,8 +234,12 @@ def draw() -> None:
     )  # fmt: skip
     walls = walls_around(loop, _GRID)
     maps = {
-        f"friction {friction:g} N, push 1 N": jaxstab.contact_map(
-            loop, *walls, friction=friction, push=1.0, encoder=1e-5
+        f"friction {friction:g} N, push 1 N": loop.contact(
+            *walls,
+            friction=friction,
+            push=1.0,
+            encoder=1e-5,
+            path=False,
         )
         for friction in (0.0, 0.03, 0.1)
     }

@@ -12,7 +12,6 @@ from .guard import build_guard as build_guard
 from .loop import HapticLoop as HapticLoop
 from .loop import Loop as Loop
 from .loop import admittance as admittance
-from .loop import contact_map as contact_map
 from .loop import coupling as coupling
 from .loop import limits_of as limits_of
 from .loop import margins as margins

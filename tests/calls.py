@@ -72,7 +72,6 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "HapticLoop.oscillation": ["loop", 1000.0, 10.0],
     "HapticLoop.simulate": ["loop", 1000.0, 10.0, {"force": 1.0}],
     "HapticLoop.contact": ["loop", 1000.0, 10.0, {"push": 1.0, "friction": 0.1, "duration": 1}],
-    "contact_map": ["loop", 1000.0, 10.0, {"push": 1.0, "friction": 0.1, "duration": 1}],
     "HapticLoop.region": ["loop"],
     "HapticLoop.limits": ["loop"],
     "HapticLoop.boundary": ["loop"],

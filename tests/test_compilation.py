@@ -50,7 +50,6 @@ WITH_FLINT = {  # loops, lines of walls and regions are in balls, filters in exa
     *(
         "HapticLoop.simulate",
         "HapticLoop.tune",
-        "contact_map",
         "minimize_radius",
         "minimize_settling",
     ),

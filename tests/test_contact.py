@@ -346,9 +346,9 @@ def test_numbers_numpy_and_jax_agree(
     loop, count = LOOPS[name], 5 if name == "device" else 20
     options = many_conditions(rng, count)
     fixed = {"duration": 0.04, "delays": delays}
-    by_numpy = jaxstab.contact_map(loop, **options, **fixed)
+    by_numpy = loop.contact(**options, **fixed, path=False)
     monkeypatch.setattr(kernel, "_MANY", 0)
-    by_jax = jaxstab.contact_map(loop, **options, **fixed)
+    by_jax = loop.contact(**options, **fixed, path=False)
     single = [
         loop.contact(**{key: value[k] for key, value in options.items()}, **fixed)
         for k in range(count)
@@ -384,9 +384,9 @@ def test_maps_larger_than_a_tile_keep_their_order(monkeypatch: pytest.MonkeyPatc
     friction = np.linspace(0.0, 0.4, 101)
     given = {"friction": friction, "push": 1.0, "duration": 0.03}
     monkeypatch.setattr(kernel, "_MANY", inf)
-    by_numpy = jaxstab.contact_map(WINDOW, stiffness, 10.0, **given)
+    by_numpy = WINDOW.contact(stiffness, 10.0, **given, path=False)
     monkeypatch.setattr(kernel, "_MANY", 0)
-    by_jax = jaxstab.contact_map(WINDOW, stiffness, 10.0, **given)
+    by_jax = WINDOW.contact(stiffness, 10.0, **given, path=False)
     assert by_jax.penetration.shape == (23, 101)
     assert np.allclose(by_jax.penetration, by_numpy.penetration, rtol=1e-12)
     assert np.allclose(by_jax.energy, by_numpy.energy, rtol=1e-9, atol=1e-18)
@@ -395,7 +395,7 @@ def test_maps_larger_than_a_tile_keep_their_order(monkeypatch: pytest.MonkeyPatc
 def test_friction_holds_walls_that_are_unstable() -> None:
     walls = [(5000.0, 30.0)] * 3 + [(3000.0, 15.0)] * 2
     friction = [0.3, 0.1, 0.0, 0.1, 0.0]
-    contact = jaxstab.contact_map(WINDOW, *np.transpose(walls), friction=friction, push=1.0)
+    contact = WINDOW.contact(*np.transpose(walls), friction=friction, push=1.0, path=False)
     assert (contact.kind == ContactKind.RESTS).tolist() == [True, False, False, True, False]
     does_move = np.isin(contact.kind, [ContactKind.BOUNCES, ContactKind.GROWS])
     assert does_move.tolist() == [False, True, True, False, True]
@@ -521,9 +521,9 @@ def test_no_run_of_a_stable_wall_passes_the_proved_amplitude(rng: np.random.Gene
     count, wall = 300, (1000.0, 10.0)
     causes = {"encoder": 2e-5, "friction": 1e-3, "force_step": 0.02}
     proved = WINDOW.amplitude(*wall, **causes)
-    contact = jaxstab.contact_map(
-        WINDOW, *wall, **causes, one_sided=False, push=rng.uniform(0.0, 2.0, count),
-        speed=rng.uniform(0.0, 0.1, count), phase=rng.uniform(size=count),
+    contact = WINDOW.contact(
+        *wall, **causes, one_sided=False, push=rng.uniform(0.0, 2.0, count),
+        speed=rng.uniform(0.0, 0.1, count), phase=rng.uniform(size=count), path=False,
     )  # fmt: skip
     assert np.all(contact.amplitude <= proved.position)
     assert contact.amplitude.max() > 0.0
@@ -547,8 +547,14 @@ def test_walls_below_the_rule_of_abbott_and_okamura_come_to_rest() -> None:
     friction = np.array([0.01, 0.02, 0.05, 0.1])[:, None]
     largest = np.minimum(2.0 * damping / PERIOD, 2.0 * friction / encoder)
     push = np.linspace(0.2, 3.0, 7)
-    below = jaxstab.contact_map(
-        loop, 0.9 * largest, 0.0, friction=friction, encoder=encoder, push=push, speed=0.05
+    below = loop.contact(
+        0.9 * largest,
+        0.0,
+        friction=friction,
+        encoder=encoder,
+        push=push,
+        speed=0.05,
+        path=False,
     )
     assert np.all(below.kind == ContactKind.RESTS)
 
@@ -582,8 +588,8 @@ def test_a_device_that_is_one_mass_in_disguise_moves_as_that_mass(
     device = jaxstab.Device.transfer_function([1.0], [0.25, 0.1, 200.0])
     assert device.one_mass() is None
     mass = HapticLoop(device_mass=0.25, device_damping=0.1, hand_stiffness=200.0, **fields)
-    ours = jaxstab.contact_map(HapticLoop(device=device, **fields), **options)
-    theirs = jaxstab.contact_map(mass, **options)
+    ours = HapticLoop(device=device, **fields).contact(**options, path=False)
+    theirs = mass.contact(**options, path=False)
     for name in ("amplitude", "penetration", "largest_force", "energy"):
         one, other = getattr(ours, name), getattr(theirs, name)
         assert np.allclose(one, other, rtol=1e-11, atol=1e-11 * np.abs(other).max())
@@ -712,9 +718,9 @@ def test_ranges_are_simulated_at_their_lowest_hand_and_longest_delay() -> None:
     assert soft.contact_is.endswith(words)
     assert f"; {words})\n" in in_short(check_walls(scene))
     loop = HapticLoop(**HELD, hand_mass=0.1, delay=2e-3, velocity=Velocity.difference(window=0.02))
-    runs = jaxstab.contact_map(
-        loop, 1000.0, 10.0, push=[1.0, 0.0, 1.0], speed=[0.0, 0.1, 0.1], friction=0.1,
-        phase=np.array([0.0, 0.25, 0.5, 0.75])[:, None], encoder=1e-5, max_force=12.0,
+    runs = loop.contact(
+        1000.0, 10.0, push=[1.0, 0.0, 1.0], speed=[0.0, 0.1, 0.1], friction=0.1,
+        phase=np.array([0.0, 0.25, 0.5, 0.75])[:, None], encoder=1e-5, max_force=12.0, path=False,
     )  # fmt: skip
     assert soft.penetration in runs.penetration
 
@@ -745,9 +751,9 @@ def test_scenes_with_modes_actuators_and_grips_are_simulated() -> None:
     loop = HapticLoop(
         device=GENERAL, sample_time=PERIOD, delay=PERIOD, velocity=Velocity.difference(window=0.02)
     )
-    runs = jaxstab.contact_map(
-        loop, 1000.0, 10.0, push=[1.0, 0.0, 1.0], speed=[0.0, 0.1, 0.1], friction=0.1,
-        phase=np.array([0.0, 0.25, 0.5, 0.75])[:, None], encoder=1e-5, duration=0.2,
+    runs = loop.contact(
+        1000.0, 10.0, push=[1.0, 0.0, 1.0], speed=[0.0, 0.1, 0.1], friction=0.1,
+        phase=np.array([0.0, 0.25, 0.5, 0.75])[:, None], encoder=1e-5, duration=0.2, path=False,
     )  # fmt: skip
     assert np.isclose(soft.penetration, runs.penetration, rtol=1e-12, atol=0.0).any()
 

@@ -262,7 +262,7 @@ def test_methods_about_walls_broadcast_with_fields_that_are_arrays(
         lambda loop: loop.worst_delays(*CHAI3D, delays=(0.0, 1e-3)),
         lambda loop: loop.simulate(*CHAI3D, force=1.0),
         lambda loop: loop.contact(*CHAI3D, push=1.0, friction=0.1),
-        lambda loop: jaxstab.contact_map(loop, [1e3], [10.0], push=1.0, friction=0.1),
+        lambda loop: loop.contact([1e3], [10.0], push=1.0, friction=0.1, path=False),
         lambda loop: loop.stiffness_intervals(10.0),
         lambda loop: jaxstab.limits_of([loop]),
         lambda loop: jaxstab.study(loop, walls={"a": CHAI3D}, over={"device_mass": [0.1]}),
@@ -295,7 +295,7 @@ TOGETHER: dict[str, Callable[[], Any]] = {
     "amplitude": lambda: OMEGA.amplitude(**GIVEN, encoder=1e-5),
     "margins": lambda: OMEGA.margins(**GIVEN),
     "frequency": lambda: OMEGA.frequency_margins(**GIVEN),
-    "contact": lambda: jaxstab.contact_map(OMEGA, **GIVEN, push=1.0),
+    "contact": lambda: OMEGA.contact(**GIVEN, push=1.0, path=False),
     "distance": lambda: OMEGA.region().distance(**GIVEN),
 }
 

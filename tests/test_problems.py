@@ -68,7 +68,6 @@ ELSEWHERE = {
     "robust_region": "test_robust", "trace_boundary": "test_trace",
     "amplitude": "test_amplitude",
     "tune_for_all": "test_tuning_ranges", "limits_of": "test_batch", "regions_of": "test_batch",
-    "contact_map": "test_contact",
 }  # fmt: skip
 
 

@@ -419,7 +419,6 @@ for call in (
     lambda: jaxstab.study(loop, over, walls=3),
     lambda: jaxstab.study(loop, over, walls={"soft": 3}),
     lambda: jaxstab.build_atlas(3, "atlas.h5"),
-    lambda: jaxstab.contact_map(3, 1.0, 1.0, push=1.0),
     lambda: jaxstab.contact_table(3, [1.0], 1.0, push=1.0),
     lambda: jaxstab.pid(3, kd=1.0),
     lambda: jaxstab.build_guard(3, jaxstab.HandRange(), **ranges),

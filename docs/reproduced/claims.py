@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxstab import minimize_settling
 from jaxstab.conventions import Verdict
-from jaxstab.loop import ContactKind, HapticLoop, contact_map
+from jaxstab.loop import ContactKind, HapticLoop
 from jaxstab.model import Device
 from jaxstab.paper import linear_validity, passive_region, plant_coefficients
 from jaxstab.point import closed_loop_poles, verdict
@@ -233,8 +233,7 @@ def _quantised_walls() -> Finding:
         loop = HapticLoop(device_mass=mass, device_damping=damping, sample_time=period)
         friction = 10.0 ** random.uniform(-2.0, 0.0, _WALLS)
         encoder = 10.0 ** random.uniform(-6.0, -4.0, _WALLS)
-        contact = contact_map(
-            loop,
+        contact = loop.contact(
             np.minimum(2.0 * damping / period, 2.0 * friction / encoder),
             0.0,
             friction=friction,
@@ -242,6 +241,7 @@ def _quantised_walls() -> Finding:
             phase=random.uniform(size=_WALLS),
             speed=10.0 ** random.uniform(-3.0, -1.0, _WALLS),
             one_sided=False,
+            path=False,
         )
         grown += int(np.sum(contact.kind == ContactKind.GROWS))
     return Finding(f"{grown} of {len(masses) * _WALLS} grow", str(grown), grown == 0)

@@ -10,7 +10,6 @@ from .backwards import StableEnd as StableEnd
 from .backwards import StableValues as StableValues
 from .contact import Contact as Contact
 from .contact import ContactKind as ContactKind
-from .contact import contact_map as contact_map
 from .gains import Gain as Gain
 from .hands import WorstHand as WorstHand
 from .jitter import MovingLimits as MovingLimits

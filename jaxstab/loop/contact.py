@@ -1,6 +1,6 @@
 """Contacts of a loop in SI units: what a hand would feel, simulated, and summed up.
 
-One run or a few are computed with their path; a map of many walls without it, in bounded memory.
+One run or a few are computed with their path; many without it, in bounded memory.
 The kind of a run is read off its last two quarters (``jaxstab.motion.contact``). Nothing here is
 proved: another start, another phase of the encoder or a longer run may end differently.
 """
@@ -29,7 +29,7 @@ from jaxstab.motion.contact import (
     paths,
 )
 from jaxstab.motion.response import Column, Controller, Response, answer_text, controller_for
-from jaxstab.numbers import checked, checked_number, require_kind, require_together
+from jaxstab.numbers import checked, checked_number, require_together
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -66,7 +66,7 @@ class Contact(NamedTuple):
         penetration: the largest position of the run in m; 0 if none is positive.
         largest_force: the largest modulus of the wall's force in N.
         energy: given by the wall to device and hand, in J; negative if it took.
-        path: the motion at the samples, the force as it is computed there; None for maps.
+        path: the motion at the samples, the force as it is computed there, or None.
 
     Example:
         >>> loop = jaxstab.HapticLoop(
@@ -170,56 +170,31 @@ class _Setup(NamedTuple):
         return np.asarray(chosen, np.int8)
 
 
-def contact(loop: LoopParameters, stiffness: Numbers, damping: Numbers, **options: Any) -> Contact:
-    """Simulate contacts with their paths: ``HapticLoop.contact``."""
+def contact(
+    loop: LoopParameters,
+    stiffness: Numbers,
+    damping: Numbers,
+    *,
+    path: bool = True,
+    **options: Any,
+) -> Contact:
+    """Simulate contacts: ``HapticLoop.contact``."""
     setup = setup_of(loop, stiffness, damping, **options)
     runs = setup.runs
     shape = runs.alpha.shape
+    if not path:
+        runs = Runs(*(column.ravel() for column in runs))
+        return setup.answer(
+            contacts(setup.plant, setup.controller, runs, setup.samples, setup.sides)
+        )
     if not shape and isinstance(setup.plant, Plant):
         # Numbers of Python are several times faster here.
         runs = Runs(*(column.item() for column in runs))
     summary, (x, v, f) = paths(setup.plant, setup.controller, runs, setup.samples, setup.sides)
-    x, v, f = (np.moveaxis(path, 0, -1).reshape(*shape, len(path)) for path in (x, v, f))
+    x, v, f = (np.moveaxis(own, 0, -1).reshape(*shape, len(own)) for own in (x, v, f))
     x = np.where(x < LIMIT, x, np.nan)  # given up
     time = setup.period * np.arange(setup.samples)
     return setup.answer(summary, Response(time, x, v / setup.period, f * setup.unit))
-
-
-def contact_map(
-    loop: LoopParameters, stiffness: Numbers, damping: Numbers, **options: Any
-) -> Contact:
-    """Simulate contacts with many walls, or with one wall under many conditions.
-
-    Large maps are computed by one program of JAX, in float64 whatever its flag says, on all cores,
-    tile by tile: about ten million samples of one mass per second and core, in little memory.
-
-    Args:
-        loop: any device with a mass at its handle; one mass alone is simulated much faster.
-        stiffness, damping: see ``jaxstab.conventions``.
-        **options: those of ``HapticLoop.contact``; numbers may be arrays that broadcast with the
-            gains.
-
-    Returns:
-        Contact of the broadcast shape, without paths.
-
-    Raises: as ``HapticLoop.contact``.
-
-    Source: eqs. (1)-(5) of Hulin, Preusche, Hirzinger (2008); Coulomb friction between the samples.
-
-    Example:
-        >>> loop = jaxstab.HapticLoop(
-        ...     device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=1e-3,
-        ...     velocity=jaxstab.Velocity.difference(window=0.02),
-        ... )
-        >>> friction = np.array([0.0, 0.1, 0.3])
-        >>> contact = jaxstab.contact_map(loop, 3000.0, 15.0, friction=friction, push=1.0)
-        >>> (contact.kind == jaxstab.results.ContactKind.RESTS).tolist()
-        [False, True, True]
-    """
-    setup = setup_of(loop, stiffness, damping, **options)
-    runs = Runs(*(column.ravel() for column in setup.runs))
-    summary = contacts(setup.plant, setup.controller, runs, setup.samples, setup.sides)
-    return setup.answer(summary)
 
 
 def setup_of(
@@ -243,7 +218,6 @@ def setup_of(
     tolerance: Numbers = 1e-6,
 ) -> _Setup:
     """Return the runs that arguments describe, checked."""
-    require_kind("loop", loop, LoopParameters, "HapticLoop")
     shortest, longest = 16, 1e8  # samples
     conditions = friction, static_friction, encoder, phase, force_step, max_force, push, speed
     given = (stiffness, damping, *conditions, position, duration, delays, tolerance)

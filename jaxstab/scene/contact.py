@@ -6,7 +6,7 @@ lowest ends of their ranges, the delay is constant and the longest one. The answ
 worst start, which it names.
 
 A table of contacts has a dimension for each list of numbers; ``jaxstab.tables`` computes
-``jaxstab.contact_map`` over their grid, block by block.
+``HapticLoop.contact`` over their grid, block by block.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,8 +20,8 @@ from jaxtyping import Float64
 
 import jaxstab
 from jaxstab.arrays import Numbers
-from jaxstab.loop import Contact, ContactKind, HapticLoop, contact_map
-from jaxstab.loop.contact import setup_of
+from jaxstab.loop import Contact, ContactKind, HapticLoop
+from jaxstab.loop.contact import contact, setup_of
 from jaxstab.model import LoopParameters
 from jaxstab.numbers import checked, require_kind
 from jaxstab.scene.answers import GainAnswer, Quantity, basis_of
@@ -115,7 +115,7 @@ def contacts_or_reasons(scene: Scene) -> Mapping[str, Simulated | str]:
 def simulated_map(scene: Scene, stiffness: Any, damping: Any, **start: Any) -> Contact:
     """Return the contacts of walls with the device of a scene; by default at its own start."""
     given = _conditions(scene) | start
-    return contact_map(loop_of(scene.at_longest_delay), stiffness, damping, **given)
+    return loop_of(scene.at_longest_delay).contact(stiffness, damping, path=False, **given)
 
 
 def map_contacts(
@@ -139,7 +139,7 @@ def map_contacts(
 
 
 def _conditions(scene: Scene) -> dict[str, Any]:
-    """The contacts of a scene, as arguments of ``contact_map``; ValueError if it has none."""
+    """The contacts of a scene, as arguments of ``loop.contact``; ValueError if it has none."""
     if scene.contact is None:
         raise ValueError(
             f"contact is missing; give contact.push in {scene.units.force}, or contact.speed in "
@@ -262,7 +262,7 @@ def contact_table(
 def plan_contacts(
     loop: LoopParameters, given: Mapping[str, Any], units: Units = Units.LINE
 ) -> "Dataset":
-    """Return the table of contacts, to be computed by dask; ``given`` as for ``contact_map``."""
+    """Return the table of contacts, to be computed by dask; ``given`` as for ``loop.contact``."""
     require_kind("loop", loop, LoopParameters, "HapticLoop")
     xarray, loop = xarray_module(), loop.in_floats()
     lists = {
@@ -304,6 +304,6 @@ def _fields(
     loop: LoopParameters, fixed: Mapping[str, Any], names: tuple[str, ...], *columns: np.ndarray
 ) -> tuple[np.ndarray, ...]:
     """Return the fields of the contacts in a block of a table."""
-    contact = contact_map(loop, **fixed, **dict(zip(names, columns, strict=True)))
+    ends = contact(loop, **fixed, **dict(zip(names, columns, strict=True)), path=False)
     shape = np.broadcast_shapes(*map(np.shape, columns))
-    return tuple(np.reshape(getattr(contact, name), shape) for name in _VARIABLES)
+    return tuple(np.reshape(getattr(ends, name), shape) for name in _VARIABLES)
