@@ -106,7 +106,7 @@ TRUTHS = {
 
 
 @pytest.mark.parametrize("name", TRUTHS)
-def test_54_intervals_are_those_of_40_digits(name: str) -> None:
+def test_intervals_are_those_of_40_digits(name: str) -> None:
     loop, given, expected = TRUTHS[name]
     line = loop.intervals(**given)
     assert line.status.name == "PROVED"
@@ -114,14 +114,14 @@ def test_54_intervals_are_those_of_40_digits(name: str) -> None:
     assert (low.value, high.value) == pytest.approx(expected, rel=2e-11)
 
 
-def test_54_stable_pd_has_a_second_interval_through_infinity() -> None:
+def test_stable_pd_has_a_second_interval_through_infinity() -> None:
     beyond, here = sprung("implicit").intervals(kd=10.0).intervals
     assert (beyond.low.value, beyond.high.value) == (-INF, pytest.approx(-110480.0))
     assert here.high.value == INF
 
 
 @pytest.mark.parametrize("rule", ["semi-implicit", "implicit"])
-def test_54_pd_without_damping_is_unstable_exactly(rule: str) -> None:
+def test_pd_without_damping_is_unstable_exactly(rule: str) -> None:
     loop = joint(integrator=rule)
     line = loop.intervals(kd=0.0)
     if rule == "semi-implicit":  # the two roots have the product 1: no ball tells
@@ -258,7 +258,7 @@ def _scale(loop: jaxstab.Loop) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_54_rows_agree_with_recursions(kind: str) -> None:
+def test_rows_agree_with_recursions(kind: str) -> None:
     compared, wrong = disagreements(kind, 25)
     assert not wrong
     assert compared > 60
@@ -266,7 +266,7 @@ def test_54_rows_agree_with_recursions(kind: str) -> None:
 
 @pytest.mark.campaign
 @pytest.mark.parametrize("kind", KINDS)
-def test_54_rows_of_many_loops_agree_with_recursions(kind: str) -> None:
+def test_rows_of_many_loops_agree_with_recursions(kind: str) -> None:
     compared, wrong = disagreements(kind, count := many(2000, 60))
     assert not wrong
     assert compared > 2 * count
@@ -276,7 +276,7 @@ MANY = [sprung("implicit-joint"), joint(substeps=4, delay_steps=2), jaxstab.pid(
 
 
 @pytest.mark.parametrize("loop", [*MANY, couple(OTHER, 1.5, 2.25)])
-def test_54_grids_of_gains_are_answered_as_pairs_are(loop: jaxstab.Loop) -> None:
+def test_grids_of_gains_are_answered_as_pairs_are(loop: jaxstab.Loop) -> None:
     rng = np.random.default_rng(5)
     gains = {
         gain.name: scale * rng.choice([0.0, 0.01, 0.1, 1.0], 200) * rng.uniform(-0.3, 1.5, 200)
@@ -291,7 +291,7 @@ def test_54_grids_of_gains_are_answered_as_pairs_are(loop: jaxstab.Loop) -> None
 
 
 @pytest.mark.campaign
-def test_54_grids_of_gains_go_through_jit_and_vmap() -> None:
+def test_grids_of_gains_go_through_jit_and_vmap() -> None:
     jax = pytest.importorskip("jax")
     loop = joint(substeps=4)
     kp = np.linspace(100.0, 7000.0, 7)
@@ -308,7 +308,7 @@ MOVING = [robot(1e4, 1e-3, 4), robot(1e4, 1e-3, 4, rule="trapezoid"), sprung("im
 
 
 @pytest.mark.parametrize("loop", MOVING)
-def test_54_jit_and_vmap_take_gains_that_move_the_leading_coefficient(loop: jaxstab.Loop) -> None:
+def test_jit_and_vmap_take_gains_that_move_the_leading_coefficient(loop: jaxstab.Loop) -> None:
     jax = pytest.importorskip("jax")
     rng, names = np.random.default_rng(7), [gain.name for gain in loop.gains]
     sizes = (0.1, 100.0) if names[0] == "mass" else (1e5, 50.0)
@@ -332,7 +332,7 @@ LIMITS = {  # the largest of both gains, and the other one there, in closed form
 
 
 @pytest.mark.parametrize("name", LIMITS)
-def test_54_limits_of_simulators_are_those_in_closed_form(name: str) -> None:
+def test_limits_of_simulators_are_those_in_closed_form(name: str) -> None:
     loop, *expected = LIMITS[name]
     limits = loop.limits()
     assert limits.status == RegionStatus.COMPLETE
@@ -340,7 +340,7 @@ def test_54_limits_of_simulators_are_those_in_closed_form(name: str) -> None:
         assert (limit.value, limit.at) == pytest.approx(pair, rel=1e-9, abs=1e-6)
 
 
-def test_54_an_admittance_has_its_region_by_the_inverse_of_its_mass() -> None:
+def test_an_admittance_has_its_region_by_the_inverse_of_its_mass() -> None:
     loop = robot(1e4, 1e-3, 4)
     region = loop.region()
     panel = region.plot()
@@ -357,7 +357,7 @@ def test_54_an_admittance_has_its_region_by_the_inverse_of_its_mass() -> None:
     assert not loop.intervals(mass=0.999 * least).intervals
 
 
-def test_54_gains_that_take_the_highest_power_are_outside() -> None:
+def test_gains_that_take_the_highest_power_are_outside() -> None:
     region = jaxstab.admittance(1e3, sample_time=2e-3, delay_samples=3).region()
     masses = [0.0, 20.0]
     assert region.contains(mass=masses, damping=100.0).tolist() == [False, True]
@@ -365,7 +365,7 @@ def test_54_gains_that_take_the_highest_power_are_outside() -> None:
 
 
 @pytest.mark.parametrize("rule", ["forward", "backward", "explicit", "trapezoid"])
-def test_54_regions_of_admittances_agree_with_verdicts(rule: str) -> None:
+def test_regions_of_admittances_agree_with_verdicts(rule: str) -> None:
     loop = robot(1e4, 1e-3, 3, rule=rule)
     region, rng = loop.region(), np.random.default_rng(3)
     gains = {"mass": 10 ** rng.uniform(-3, 2, 200), "damping": 10 ** rng.uniform(0, 4, 200)}
@@ -375,7 +375,7 @@ def test_54_regions_of_admittances_agree_with_verdicts(rule: str) -> None:
 
 
 @pytest.mark.parametrize("loop", [jaxstab.pid(held(), kd=50.0), jaxstab.pid(held(), ki=1e5)])
-def test_54_regions_of_pid_agree_with_verdicts(loop: jaxstab.Loop) -> None:
+def test_regions_of_pid_agree_with_verdicts(loop: jaxstab.Loop) -> None:
     region, rng = loop.region(), np.random.default_rng(4)
     low, high = region.outline.min(axis=0), region.outline.max(axis=0)
     points = low + (high - low) * rng.uniform(-0.2, 1.2, (200, 2))
@@ -387,7 +387,7 @@ def test_54_regions_of_pid_agree_with_verdicts(loop: jaxstab.Loop) -> None:
 
 
 @pytest.mark.parametrize("rule", ["backward", "trapezoid"])
-def test_54_the_least_damping_of_an_admittance_may_be_that_of_no_mass(rule: str) -> None:
+def test_the_least_damping_of_an_admittance_may_be_that_of_no_mass(rule: str) -> None:
     loop = robot(1e4, 1e-3, 4, rule=rule)
     mass, damping = loop.limits()[:2]
     assert (mass.value, damping.at) == (0.0, 0.0)
@@ -403,7 +403,7 @@ def test_the_least_mass_is_0_where_no_mass_is_needed(environment: float, period:
     assert mass.at == pytest.approx(environment * period / 2.0)
 
 
-def test_54_an_admittance_without_delay_needs_a_mass_and_no_damping() -> None:
+def test_an_admittance_without_delay_needs_a_mass_and_no_damping() -> None:
     """M > T D/2 + Ke T^2/4 in closed form."""
     limits = jaxstab.admittance(1e4, sample_time=1e-3).limits()
     assert limits.first.value == pytest.approx(1e4 * 1e-6 / 4.0, rel=1e-9)
@@ -412,7 +412,7 @@ def test_54_an_admittance_without_delay_needs_a_mass_and_no_damping() -> None:
 
 @pytest.mark.parametrize("rule", ["forward", "backward", "trapezoid", "explicit"])
 @pytest.mark.parametrize("filtered", [False, True])
-def test_54_an_admittance_without_a_damper_is_not_stable(rule: str, filtered: bool) -> None:
+def test_an_admittance_without_a_damper_is_not_stable(rule: str, filtered: bool) -> None:
     """Without delay its roots keep the product 1: on the circle, or one of them outside."""
     options: dict[str, Any] = {"force_filter": jaxstab.Filter.low_pass(50.0)} if filtered else {}
     loop = robot(1e4, 1e-3, 0, rule=rule, **options)
@@ -436,7 +436,7 @@ def test_a_row_of_gains_may_keep_the_product_of_the_roots_at_1() -> None:
         assert not loop.parts.is_reciprocal((0.5, 0.0), (0.0, 1.0))
 
 
-def test_54_printed_limits_are_rounded_to_the_stable_side() -> None:
+def test_printed_limits_are_rounded_to_the_stable_side() -> None:
     limits = jaxstab.pid(held(), kd=50.0).limits()
     assert limits.first.value == pytest.approx(25860.6638, abs=1e-4)
     assert "largest kp = 25860.6 N/m" in repr(limits)
@@ -454,7 +454,7 @@ def test_limits_that_are_not_known_say_nothing_of_small_gains(status: RegionStat
     assert "alpha" not in text
 
 
-def test_54_an_equal_device_on_a_wall_that_moves_is_the_wall_of_an_endless_mass() -> None:
+def test_an_equal_device_on_a_wall_that_moves_is_the_wall_of_an_endless_mass() -> None:
     heavy = jaxstab.Device.mass_spring_damper(mass=1e9)
     limits = jaxstab.coupling(DEVICE, heavy, sample_time=1e-3).limits()
     wall = jaxstab.HapticLoop(device=DEVICE, sample_time=1e-3, delay=1e-3).limits()
@@ -463,7 +463,7 @@ def test_54_an_equal_device_on_a_wall_that_moves_is_the_wall_of_an_endless_mass(
 
 
 # ------------------------------------------------------------------------------------ coefficients
-def test_54_coefficients_may_be_fractions_or_intervals() -> None:
+def test_coefficients_may_be_fractions_or_intervals() -> None:
     half = jaxstab.Loop.from_coefficients(
         base=[1, -2, 1], first=[Fraction(1, 2), 0], second=[1, -1], sample_time=1.0
     )
@@ -536,7 +536,7 @@ def test_whole_numbers_beyond_float64_are_exact() -> None:
     assert large.limits().first.value == pytest.approx(4.0)
 
 
-def test_54_an_algebraic_loop_has_no_verdict() -> None:
+def test_an_algebraic_loop_has_no_verdict() -> None:
     loop = jaxstab.Loop.from_coefficients(
         base=[1, 0], first=[1, 0.5], second=[0, 1], sample_time=1.0
     )
@@ -636,6 +636,6 @@ REFUSALS = [
 
 
 @pytest.mark.parametrize(("call", "words"), REFUSALS)
-def test_54_bad_input_is_refused_in_a_sentence(call: Callable[[], object], words: str) -> None:
+def test_bad_input_is_refused_in_a_sentence(call: Callable[[], object], words: str) -> None:
     with pytest.raises((TypeError, ValueError), match=words):
         call()

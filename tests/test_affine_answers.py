@@ -51,7 +51,7 @@ def stable_gains(case: Case) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("kind", first(OF_GAINS, 3))
-def test_54_margins_end_where_recursions_lose_stability(kind: str) -> None:
+def test_margins_end_where_recursions_lose_stability(kind: str) -> None:
     ways = {"first_factors": (1, 0), "second_factors": (0, 1), "both_factors": (1, 1)}
     compared = 0
     for case in drawn(kind, 6):
@@ -74,7 +74,7 @@ def test_54_margins_end_where_recursions_lose_stability(kind: str) -> None:
     assert compared > 8
 
 
-def test_54_margins_of_a_simulator_are_those_in_closed_form() -> None:
+def test_margins_of_a_simulator_are_those_in_closed_form() -> None:
     loop = jaxstab.simulated_pd(0.1, step=2e-3, substeps=4)  # kp < 2 kd/(3 h), kd + kp h/2 < 25
     margins = loop.margins(kp=500.0, kd=10.0)
     assert margins.first == pytest.approx([0.0, 10000.0 / 3.0], abs=1e-9)
@@ -90,7 +90,7 @@ def test_54_margins_of_a_simulator_are_those_in_closed_form() -> None:
 
 
 @pytest.mark.parametrize("kind", first(OF_GAINS, 3))
-def test_54_no_gains_that_recursions_try_decay_faster_than_the_best(kind: str) -> None:
+def test_no_gains_that_recursions_try_decay_faster_than_the_best(kind: str) -> None:
     rng = np.random.default_rng(2)
     for case in drawn(kind, 2, seed=3):
         best = case.loop.tune()
@@ -107,7 +107,7 @@ def test_54_no_gains_that_recursions_try_decay_faster_than_the_best(kind: str) -
                 assert radius(case, *gains) > best.radius - 1e-6
 
 
-def test_54_tuning_does_not_depend_on_units() -> None:
+def test_tuning_does_not_depend_on_units() -> None:
     """One loop in SI and in units of its own: the same radius, and gains in proportion."""
     found = []
     for environment, period in ((1.0, 1.0), (1e6, 1e-4), (1e5, 1e-5)):
@@ -122,7 +122,7 @@ def test_54_tuning_does_not_depend_on_units() -> None:
     assert found[0][0] < 0.9  # 0.9915 and 0.9990 were reached in SI
 
 
-def test_54_tuning_of_a_simulated_joint_is_deadbeat() -> None:
+def test_tuning_of_a_simulated_joint_is_deadbeat() -> None:
     best = jaxstab.simulated_pd(0.1, step=2e-3).tune()  # a = b = 1: p = z^2
     assert best.gains["kp"] == pytest.approx(25000.0, rel=1e-3)
     assert best.gains["kd"] == pytest.approx(50.0, rel=1e-3)
@@ -130,7 +130,7 @@ def test_54_tuning_of_a_simulated_joint_is_deadbeat() -> None:
 
 
 @pytest.mark.parametrize("kind", first(OF_GAINS, 3))
-def test_54_simulations_are_those_of_the_recursion_s_polynomial(kind: str) -> None:
+def test_simulations_are_those_of_the_recursion_s_polynomial(kind: str) -> None:
     for case in drawn(kind, 3, seed=5):
         gains = stable_gains(case)
         if not gains:
@@ -143,7 +143,7 @@ def test_54_simulations_are_those_of_the_recursion_s_polynomial(kind: str) -> No
 
 
 @pytest.mark.parametrize("kind", first(OF_GAINS, 3))
-def test_54_motions_settle_where_recursions_do(kind: str) -> None:
+def test_motions_settle_where_recursions_do(kind: str) -> None:
     count, compared = 4000, 0
     for case in drawn(kind, 3, seed=5):
         gains = stable_gains(case)
@@ -160,7 +160,7 @@ def test_54_motions_settle_where_recursions_do(kind: str) -> None:
     assert compared or kind != "simulator"
 
 
-def test_54_walls_and_other_gains_share_their_methods() -> None:
+def test_walls_and_other_gains_share_their_methods() -> None:
     wall = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
     named = {"stiffness": 1000.0, "damping": 10.0}
     for method in ("spectral_radius", "poles", "oscillation", "frequency_margins"):
@@ -183,7 +183,7 @@ def test_54_walls_and_other_gains_share_their_methods() -> None:
     assert mode.damping_ratio == pytest.approx(decay / np.hypot(decay, np.angle(root)), rel=1e-9)
 
 
-def test_54_simulations_broadcast_and_are_differentiable() -> None:
+def test_simulations_broadcast_and_are_differentiable() -> None:
     jax = pytest.importorskip("jax")
     loop = jaxstab.simulated_pd(0.1, step=2e-3)
     grid = loop.simulate(samples=30, kp=[[100.0], [1e3]], kd=[5.0, 10.0, 20.0])
@@ -201,7 +201,7 @@ def test_54_simulations_broadcast_and_are_differentiable() -> None:
 
 
 @pytest.mark.parametrize("kind", first(OF_GAINS, 3))
-def test_54_points_of_the_boundary_have_a_pole_on_the_circle(kind: str) -> None:
+def test_points_of_the_boundary_have_a_pole_on_the_circle(kind: str) -> None:
     for case in drawn(kind, 2, seed=6):
         points = case.loop.boundary()
         finite = points[np.all(np.isfinite(points), axis=1)]
@@ -214,7 +214,7 @@ def test_54_points_of_the_boundary_have_a_pole_on_the_circle(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", OF_GAINS)
-def test_54_open_loops_close_to_the_poles_of_the_recursion(kind: str) -> None:
+def test_open_loops_close_to_the_poles_of_the_recursion(kind: str) -> None:
     pytest.importorskip("control")
     for case in drawn(kind, 2, seed=8):
         gains = stable_gains(case)
@@ -227,7 +227,7 @@ def test_54_open_loops_close_to_the_poles_of_the_recursion(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["kp-ki", "kp-kd"])
-def test_54_open_loops_of_pid_hold_the_given_gain(kind: str) -> None:
+def test_open_loops_of_pid_hold_the_given_gain(kind: str) -> None:
     pytest.importorskip("control")
     for case in drawn(kind, 3, seed=8):
         if not (gains := stable_gains(case)):
@@ -246,7 +246,7 @@ def test_no_loop_is_opened_where_gains_take_the_highest_power() -> None:
         robot.to_control(mass=0.0, damping=50.0)
 
 
-def test_54_pictures_say_gains_and_units() -> None:
+def test_pictures_say_gains_and_units() -> None:
     device = jaxstab.Device.mass_spring_damper(mass=0.25, damping=0.1)
     held = jaxstab.HapticLoop(device=device, sample_time=1e-3, delay=1e-3)
     panel = jaxstab.pid(held, ki=1e5).plot()
@@ -263,7 +263,7 @@ def test_54_pictures_say_gains_and_units() -> None:
 # ------------------------------------------------------------------------------------- many loops
 @pytest.mark.campaign
 @pytest.mark.parametrize("kind", ["kp-ki", *some(REST, 3)])
-def test_54_limits_of_many_loops_are_those_of_each(kind: str) -> None:
+def test_limits_of_many_loops_are_those_of_each(kind: str) -> None:
     count = {"simulator": 90, "admittance": 12}.get(kind, 66)  # 64 that the program takes, or none
     loops = [case.loop for case in drawn(kind, count, seed=9)]
     limits = jaxstab.limits_of(loops)
@@ -279,7 +279,7 @@ def test_54_limits_of_many_loops_are_those_of_each(kind: str) -> None:
 
 
 @pytest.mark.campaign
-def test_54_regions_of_many_loops_are_those_of_each() -> None:
+def test_regions_of_many_loops_are_those_of_each() -> None:
     for kind in ("kp-ki", "admittance"):
         loops = [case.loop for case in drawn(kind, 66, seed=10)]
         regions = jaxstab.regions_of(loops)
@@ -295,7 +295,7 @@ def test_54_regions_of_many_loops_are_those_of_each() -> None:
             )
 
 
-def test_54_small_gains_are_small_in_both() -> None:
+def test_small_gains_are_small_in_both() -> None:
     device = jaxstab.Device.mass_spring_damper(mass=0.15, damping=1.5)
     held = jaxstab.HapticLoop(device=device, sample_time=8e-3, delay=56e-3)
     limits = jaxstab.pid(held, ki=0.5).limits()  # unstable below kp = ki m/b
@@ -304,7 +304,7 @@ def test_54_small_gains_are_small_in_both() -> None:
 
 
 @pytest.mark.campaign
-def test_54_a_batch_leaves_out_islands_of_negative_gains() -> None:
+def test_a_batch_leaves_out_islands_of_negative_gains() -> None:
     def joint(inertia: float) -> jaxstab.Loop:
         options = {"integrator": "explicit", "outside": True, "substeps": 3, "delay_steps": 80}
         return jaxstab.simulated_pd(inertia, step=2.87e-3, stiffness=3.95, **options)
@@ -318,9 +318,7 @@ def test_54_a_batch_leaves_out_islands_of_negative_gains() -> None:
 
 @pytest.mark.parametrize("integrator", ["implicit-damping", "implicit"])
 @pytest.mark.parametrize("damping", [0.0, 0.5])
-def test_54_gains_of_implicit_engines_have_no_largest_value(
-    integrator: str, damping: float
-) -> None:
+def test_gains_of_implicit_engines_have_no_largest_value(integrator: str, damping: float) -> None:
     inertia, step = 0.1, 2e-3
     loop = jaxstab.simulated_pd(inertia, step=step, damping=damping, integrator=integrator)
     region, limits = loop.region(), loop.limits()
@@ -339,7 +337,7 @@ def test_54_gains_of_implicit_engines_have_no_largest_value(
     assert best.gains == {"kp": np.inf, "kd": np.inf}
 
 
-def test_54_limits_where_gains_move_the_leading_coefficient_are_those_of_a_grid() -> None:
+def test_limits_where_gains_move_the_leading_coefficient_are_those_of_a_grid() -> None:
     rng = np.random.default_rng(5)
     compared = 0
     for _ in range(12):
@@ -408,7 +406,7 @@ def test_the_least_gains_beside_a_stiff_virtual_spring_are_those_of_recursions(
         assert np.all(stable >= [first.value, second.value])
 
 
-def test_54_undamped_devices_that_differ_by_rounding_have_a_region_of_that_size() -> None:
+def test_undamped_devices_that_differ_by_rounding_have_a_region_of_that_size() -> None:
     """Of k/m = 100 but for the last digit: what moves them both is damped by 5e-15 N/m."""
     bodies = [
         (0.11523382810001558, 0.0, 11.523382810001557),
@@ -429,7 +427,7 @@ def test_54_undamped_devices_that_differ_by_rounding_have_a_region_of_that_size(
         assert bool(region.contains(stiffness=gains[0], damping=gains[1])) is is_stable
 
 
-def test_54_ki_and_kd_of_a_free_mass_are_a_triangle_with_the_forward_rule() -> None:
+def test_ki_and_kd_of_a_free_mass_are_a_triangle_with_the_forward_rule() -> None:
     """p = z (z - 1)^3 + c (z + 1)(kp z (z - 1) + ki T z + kd (z - 1)^2/T), c = T^2/(2 m).
 
     On the circle ki and kd act in phase: a pair stays there at two angles only, sin^2 of whose
@@ -523,7 +521,7 @@ def test_without_kp_only_a_part_of_the_line_of_ki_0_bounds_stable_gains(
             assert bool(region.contains(ki=ki, kd=kd)) is bool(radius < 1.0), (ki, kd)
 
 
-def test_54_polygons_may_have_islands() -> None:
+def test_polygons_may_have_islands() -> None:
     """A mass with a mode, sampled by SciPy, a sample late: eigenvalues tell the stable gains."""
     mass, damping, period, kp = 0.2, 0.5, 1e-3, 200.0
     own, rate = 0.003, 2.0 * np.pi * 60.0
@@ -554,7 +552,7 @@ def test_54_polygons_may_have_islands() -> None:
     assert seen == {True, False}
 
 
-def test_54_walls_and_other_loops_are_asked_apart() -> None:
+def test_walls_and_other_loops_are_asked_apart() -> None:
     device = jaxstab.Device.mass_spring_damper(mass=0.25, damping=0.1)
     held = jaxstab.HapticLoop(device=device, sample_time=1e-3)
     with pytest.raises(TypeError, match="give a HapticLoop for each"):
@@ -562,7 +560,7 @@ def test_54_walls_and_other_loops_are_asked_apart() -> None:
 
 
 # --------------------------------------------------------------------------------------- campaign
-def test_54_exact_recursions_know_closed_forms() -> None:
+def test_exact_recursions_know_closed_forms() -> None:
     case = KINDS["simulator"](np.random.default_rng(0))
     device = np.array([[2, -1], [1, 0]], object)  # (z - 1)^2
     assert is_stable_exactly(device) is None
@@ -572,7 +570,7 @@ def test_54_exact_recursions_know_closed_forms() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_54_verdicts_of_random_gains_are_right(kind: str) -> None:
+def test_verdicts_of_random_gains_are_right(kind: str) -> None:
     counts = judged(kind, 6, 256, exactly=3, seed=12)
     assert counts["wrong"] == 0, counts
     assert counts["by eigenvalues"] > 700
@@ -580,7 +578,7 @@ def test_54_verdicts_of_random_gains_are_right(kind: str) -> None:
 
 @pytest.mark.campaign
 @pytest.mark.parametrize("kind", KINDS)
-def test_54_verdicts_of_many_random_gains_are_right(kind: str) -> None:
+def test_verdicts_of_many_random_gains_are_right(kind: str) -> None:
     counts = judged(kind, many(500, 15), 256, exactly=6)
     assert counts["wrong"] == 0, counts
     assert counts["by eigenvalues"] > 100 * counts["loops"]
@@ -588,7 +586,7 @@ def test_54_verdicts_of_many_random_gains_are_right(kind: str) -> None:
 
 @pytest.mark.campaign
 @pytest.mark.parametrize("kind", KINDS)
-def test_54_regions_hold_the_gains_of_which_eigenvalues_are_inside(kind: str) -> None:
+def test_regions_hold_the_gains_of_which_eigenvalues_are_inside(kind: str) -> None:
     counts = judged_regions(kind, loops := many(1430, 12), 200)
     assert counts["wrong"] == 0, counts
     assert counts["UNRESOLVED"] <= 1 + 0.05 * loops

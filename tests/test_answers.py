@@ -580,7 +580,7 @@ def test_without_anything_to_do_the_help_is_shown() -> None:
         ),
     ],
 )
-def test_item_7_check_prints_the_worst_of_all_hands_and_whose_it_is(
+def test_check_prints_the_worst_of_all_hands_and_whose_it_is(
     wall: tuple[float, float],
     slowest: tuple[float, float, float],
     least_damped: tuple[float, float, float],

@@ -133,7 +133,7 @@ def test_the_table_of_exit_codes_has_every_command() -> None:
     ],
     ids=[f"{name}-{code}-{number}" for number, (name, _, code) in enumerate(COMMANDS)],
 )
-def test_31_18_exit_codes(name: str, arguments: list[str], code: int, folder: Path) -> None:
+def test_exit_codes(name: str, arguments: list[str], code: int, folder: Path) -> None:
     answer = run(*name.removesuffix(" answer").split(), *arguments)
     assert answer.exit_code == code, answer.stderr
     if code == 2:
@@ -141,7 +141,7 @@ def test_31_18_exit_codes(name: str, arguments: list[str], code: int, folder: Pa
         assert_one_sentence(answer.stderr)
 
 
-def test_31_18_a_fault_of_ours_does_not_end_like_an_unstable_wall(
+def test_a_fault_of_ours_does_not_end_like_an_unstable_wall(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def broken(_: Scene, **__: Any) -> Any:
@@ -156,7 +156,7 @@ def test_31_18_a_fault_of_ours_does_not_end_like_an_unstable_wall(
 
 
 @pytest.mark.parametrize("command", ["limits", "check", "tune"])
-def test_31_15_a_delay_that_is_assumed_is_said_beside_the_estimator(command: str) -> None:
+def test_a_delay_that_is_assumed_is_said_beside_the_estimator(command: str) -> None:
     arguments = [command, *OMEGA[:4], *GOOD]
     lines = run(*arguments).stdout.splitlines()
     assert lines[0].startswith("velocity ")
@@ -184,9 +184,7 @@ def test_a_device_without_damping_has_none_and_says_so() -> None:
         (["--wall", "a", "2", "5000"], 1, "damping of 5000 N s/m beside a stiffness of 2 N/m; are"),
     ],
 )
-def test_31_15_slips_of_units_are_one_line_on_stderr(
-    options: list[str], code: int, words: str
-) -> None:
+def test_slips_of_units_are_one_line_on_stderr(options: list[str], code: int, words: str) -> None:
     answer = run("limits", *OMEGA[:4], *options)
     assert answer.exit_code == code
     assert answer.stderr.startswith("jaxstab: warning: ")
@@ -196,7 +194,7 @@ def test_31_15_slips_of_units_are_one_line_on_stderr(
     assert usual.stderr == ""
 
 
-def test_31_15_masses_in_grams_are_remarked_on() -> None:
+def test_masses_in_grams_are_remarked_on() -> None:
     scene = Scene.from_table({"device": {"mass": [144.0, 225.0], "damping": 0.1}, **CONTROLLER})
     assert "device.mass is 144 kg, usual are 0.001 to 50 kg" in scene.unusual()
 
@@ -204,7 +202,7 @@ def test_31_15_masses_in_grams_are_remarked_on() -> None:
 CONTROLLER = {"controller": {"sample_time": 1e-3}}
 
 
-def test_31_15_a_delay_in_samples_is_refused_by_the_loop() -> None:
+def test_a_delay_in_samples_is_refused_by_the_loop() -> None:
     fields = {"device_mass": 0.1, "device_damping": 1.0, "sample_time": 1e-3}
     with pytest.raises(ValueError, match="a delay in samples is multiplied by sample_time"):
         HapticLoop(**fields, delay=1.0)
@@ -234,7 +232,7 @@ def test_31_15_a_delay_in_samples_is_refused_by_the_loop() -> None:
         ),
     ],
 )
-def test_31_16_what_is_misspelt_or_of_another_kind_is_named(
+def test_what_is_misspelt_or_of_another_kind_is_named(
     arguments: list[str], words: str, folder: Path
 ) -> None:
     answer = run(*arguments)
@@ -265,7 +263,7 @@ OUTPUTS = [
 
 
 @pytest.mark.parametrize("arguments", OUTPUTS, ids=lambda words: "-".join(words[:2]))
-def test_31_17_a_folder_that_does_not_exist_is_refused_before_the_work(
+def test_a_folder_that_does_not_exist_is_refused_before_the_work(
     arguments: list[str], folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for work in ("scene_limits", "check_walls", "tune_walls", "design_loop"):
@@ -278,7 +276,7 @@ def test_31_17_a_folder_that_does_not_exist_is_refused_before_the_work(
 
 
 @pytest.mark.campaign
-def test_31_17_a_figure_makes_its_folder_and_files_are_named(folder: Path) -> None:
+def test_a_figure_makes_its_folder_and_files_are_named(folder: Path) -> None:
     figure = run("figure", "4", "-o", "new/folder")
     assert figure.stdout == "new/folder/figure_4.png\n"
     assert (folder / "new/folder/figure_4.png").read_bytes().startswith(b"\x89PNG")
@@ -293,7 +291,7 @@ def test_31_17_a_figure_makes_its_folder_and_files_are_named(folder: Path) -> No
     assert run("atlas", "plot", "small.h5", "-o", "c.png").stdout == "c.png\n"
 
 
-def test_31_19_pairs_are_two_columns_of_csv() -> None:
+def test_pairs_are_two_columns_of_csv() -> None:
     arguments = ["check", *OMEGA, *HANDS, *GOOD]
     (row,) = csv.DictReader(run(*arguments, "--csv", "-").stdout.splitlines())
     table = json.loads(run(*arguments, "--json").stdout)
@@ -315,9 +313,7 @@ def test_31_19_pairs_are_two_columns_of_csv() -> None:
     ],
     ids=" ".join,
 )
-def test_31_19_json_has_inputs_units_and_one_style_of_keys(
-    arguments: list[str], folder: Path
-) -> None:
+def test_json_has_inputs_units_and_one_style_of_keys(arguments: list[str], folder: Path) -> None:
     answer = json.loads(run(*arguments, "--json").stdout)
     inputs, units = answer.pop("inputs"), answer.pop("units")
     assert inputs.keys() >= {"velocity", "sample_time", "delay", "delay_samples", "mass", "damping"}
@@ -339,7 +335,7 @@ def test_31_19_json_has_inputs_units_and_one_style_of_keys(
     assert set(units.values()) <= {"1", "s", "m", "kg", "Hz", "N", "N/m", "N s/m", "degrees"}
 
 
-def test_31_19_units_are_those_of_rotation() -> None:
+def test_units_are_those_of_rotation() -> None:
     wheel = ["--inertia", "0.02", "--damping", "0.02", "--sample-time", "0.001"]
     walls = ["--hand-inertia", "0:0.05", "--wall", "mass", "1", "0.05"]
     answer = json.loads(run("limits", *wheel, *walls, "--json").stdout)
@@ -358,7 +354,7 @@ def test_31_19_units_are_those_of_rotation() -> None:
     ],
     ids=" ".join,
 )
-def test_31_19_json_of_regions_and_of_atlases_has_inputs_and_units(
+def test_json_of_regions_and_of_atlases_has_inputs_and_units(
     arguments: list[str], folder: Path
 ) -> None:
     """Regions had their inputs between their results; queries were a list of rows alone."""
@@ -387,7 +383,7 @@ def in_a_shell(redirection: str, *arguments: str) -> subprocess.CompletedProcess
 
 
 @pytest.mark.campaign
-def test_31_26_closed_streams(folder: Path) -> None:
+def test_closed_streams(folder: Path) -> None:
     check = ["check", *OMEGA, *GOOD]
     closed = in_a_shell("2>&-", *check)
     assert (closed.returncode, closed.stdout) == (0, run_process(*check).stdout)
@@ -399,7 +395,7 @@ def test_31_26_closed_streams(folder: Path) -> None:
     assert "stdin is closed" in query.stderr
 
 
-def test_31_26_a_design_whose_largest_delay_is_none_at_all() -> None:
+def test_a_design_whose_largest_delay_is_none_at_all() -> None:
     device = {
         "mass": 0.25,
         "damping": 0.1,
@@ -416,7 +412,7 @@ def test_31_26_a_design_whose_largest_delay_is_none_at_all() -> None:
         assert found.sample_time.largest_sample_time == pytest.approx(1e-3, rel=1e-6)
 
 
-def test_31_27_a_scene_is_written_whole_or_not_at_all(
+def test_a_scene_is_written_whole_or_not_at_all(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(descriptor: int, data: bytes) -> None:
@@ -432,7 +428,7 @@ def test_31_27_a_scene_is_written_whole_or_not_at_all(
     assert run("scene", "init", "-o", "new.toml").exit_code == 2
 
 
-def test_31_26_many_angles_are_divided(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_angles_are_divided(monkeypatch: pytest.MonkeyPatch) -> None:
     """A design that tried long delays recurred without end: one row of angles was never halved."""
     loop = HapticLoop(
         device_mass=0.25, device_damping=0.1, sample_time=1e-3, velocity=Velocity.difference(5)

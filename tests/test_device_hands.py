@@ -163,7 +163,7 @@ def attacked(seed: int, steps: int) -> list[str]:
     return said
 
 
-# ------------------------------------------------------------------- issue 31, items 12 and 14
+# Masses from nothing, several ranges at once, ranges of the device's own mass.
 
 GRIP = Hand.mass_spring_damper(0.1).with_grip(stiffness=2000.0, damping=4.0)
 HANDS = HandRange(mass=(0.0, 0.5), stiffness=(0.0, 300.0), damping=(0.0, 5.0))  # of the guide
@@ -175,12 +175,12 @@ LOOP = HapticLoop(
 )
 
 
-def test_item_12_a_mass_from_nothing_behind_a_grip_is_proved() -> None:
+def test_a_mass_from_nothing_behind_a_grip_is_proved() -> None:
     hands = replace(HANDS, stiffness=(300.0, 300.0), damping=(5.0, 5.0))
     assert LOOP.worst_hand(hands, 1000.0, 10.0).verdict == Verdict.STABLE
 
 
-def test_item_12_several_ranges_of_a_hand_on_a_device_are_proved() -> None:
+def test_several_ranges_of_a_hand_on_a_device_are_proved() -> None:
     found = LOOP.robust_limit(HANDS)
     assert found.is_proved
     assert found.stiffness > 1800.0
@@ -199,7 +199,7 @@ def test_item_12_several_ranges_of_a_hand_on_a_device_are_proved() -> None:
     assert not case.is_stable(higher, np.array([arm.mass, arm.stiffness, arm.damping, 0.25]))
 
 
-def test_item_14_the_masses_of_a_device_are_proved_with_its_hands() -> None:
+def test_the_masses_of_a_device_are_proved_with_its_hands() -> None:
     one = LOOP.robust_limit(HANDS)
     found = LOOP.robust_limit(HANDS, mass=(0.2, 0.3))
     assert found.is_proved
@@ -211,7 +211,7 @@ def test_item_14_the_masses_of_a_device_are_proved_with_its_hands() -> None:
 
 
 @pytest.mark.campaign
-def test_item_14_the_masses_of_one_mass_are_proved_with_its_hands() -> None:
+def test_the_masses_of_one_mass_are_proved_with_its_hands() -> None:
     """Glued, the device's mass and the hand's are one: as a range of the hand alone."""
     loop = HapticLoop(
         device_mass=0.25, device_damping=0.1, sample_time=PERIOD, delay=PERIOD,

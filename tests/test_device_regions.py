@@ -113,7 +113,7 @@ def test_a_device_that_a_constant_force_does_not_move_has_no_region() -> None:
 
 
 def test_a_mode_that_walls_hardly_move_cuts_off_a_corner() -> None:
-    """Issue 31, 6: a COMPLETE region held this wall, of radius 1 + 9.9e-13."""
+    """Beside it a wall has the radius 1 + 9.9e-13."""
     modes = [
         (6.434856867099245, 0.0, 0.185851300358204),
         (6.8454108056371155, 0.0, 0.00017206764337745456),
@@ -141,8 +141,7 @@ def test_a_mode_that_walls_hardly_move_cuts_off_a_corner() -> None:
 @pytest.mark.campaign
 @pytest.mark.parametrize("number", [22, 25])
 def test_regions_of_modes_that_walls_hardly_move_are_right(number: int) -> None:
-    """Of the kind of issue 31, 6: COMPLETE regions held walls of radius 1 + 1e-20 beside a corner,
-    or lacked stable ones."""
+    """Beside a corner walls have radii of 1 + 1e-20, and others are stable."""
     rng = np.random.default_rng([20121120, number])
     tally = benchmarks.loops.region(DeviceLoop.hardly_moved(rng), rng)
     assert (tally.wrong, tally.open) == (0, 0)

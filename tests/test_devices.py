@@ -295,7 +295,7 @@ def radius_with_a_hand(acts: float, moves: float) -> float:
 
 
 def test_a_hand_beside_a_mode_of_negative_mass_is_refused() -> None:
-    """Issue 51, 2: from encoder to motor it would calm a wall that it cannot calm at the link."""
+    """From encoder to motor it would calm a wall that it cannot calm at the link."""
     assert radius_with_a_hand(acts=1.0, moves=-1.0) < 1.0
     assert np.isclose(radius_with_a_hand(-1.0, -1.0), 1.001345488, rtol=0.0, atol=1e-9)
     mode = Mode(frequency=35.0, damping_ratio=0.05, modal_mass=-8e-4)
@@ -360,7 +360,7 @@ def hasty_threads() -> Iterator[None]:
 
 @pytest.mark.usefixtures("hasty_threads")
 def test_threads_that_ask_devices_agree_and_restore_the_precision() -> None:
-    """Issue 31, 8: after 8 threads ``flint.ctx.prec`` stayed at 1024, or poles were not found."""
+    """``flint.ctx.prec`` is afterwards what it was."""
 
     def poles_and_plant(frequency: float, order: int = 1) -> tuple[list[complex], Any]:
         modes = [Mode(frequency=f, damping_ratio=0.01, modal_mass=0.3) for f in (frequency, 90.0)]

@@ -59,7 +59,7 @@ TRUTHS: dict[str, tuple[jaxstab.Loop, dict[str, float], list[tuple[float, float]
 
 
 @pytest.mark.parametrize("name", TRUTHS)
-def test_54_intervals_of_tools_and_of_two_delays_are_those_of_40_digits(name: str) -> None:
+def test_intervals_of_tools_and_of_two_delays_are_those_of_40_digits(name: str) -> None:
     loop, given, expected = TRUTHS[name]
     line = loop.intervals(**given)
     assert line.status.name == "PROVED"
@@ -77,13 +77,13 @@ LIMITS = {
 
 
 @pytest.mark.parametrize("name", LIMITS)
-def test_54_limits_of_tools_and_of_two_delays(name: str) -> None:
+def test_limits_of_tools_and_of_two_delays(name: str) -> None:
     loop, stiffness, damping = LIMITS[name]
     first = loop.limits().first
     assert (first.value, first.at) == pytest.approx((stiffness, damping), rel=2e-6)
 
 
-def test_54_equal_delays_of_both_gains_are_those_of_the_wall() -> None:
+def test_equal_delays_of_both_gains_are_those_of_the_wall() -> None:
     wall = HapticLoop(device=HELD, sample_time=1e-3, delay=1.3e-3)
     both = jaxstab.pid(wall, ki=0.0)
     assert both.limits().first.value == pytest.approx(wall.limits().stiffness, rel=1e-9)
@@ -92,7 +92,7 @@ def test_54_equal_delays_of_both_gains_are_those_of_the_wall() -> None:
 
 
 @pytest.mark.parametrize("delay_steps", first([1, 5, 0, 2, 9], 2))
-def test_54_a_simulated_device_with_its_own_velocity_is_pd_outside_of_the_engine(
+def test_a_simulated_device_with_its_own_velocity_is_pd_outside_of_the_engine(
     delay_steps: int,
 ) -> None:
     pd = jaxstab.simulated_pd(0.1, step=2e-3, substeps=4, delay_steps=delay_steps)
@@ -161,7 +161,7 @@ def disagreements(rng: np.random.Generator) -> tuple[int, list[str]]:
     return compared, wrong
 
 
-def test_54_random_devices_in_z_agree_with_recursions() -> None:
+def test_random_devices_in_z_agree_with_recursions() -> None:
     rng = np.random.default_rng(54)
     found = [disagreements(rng) for _ in range(60)]
     assert not [text for _, texts in found for text in texts]
@@ -169,7 +169,7 @@ def test_54_random_devices_in_z_agree_with_recursions() -> None:
 
 
 @pytest.mark.campaign
-def test_54_many_random_devices_in_z_agree_with_recursions() -> None:
+def test_many_random_devices_in_z_agree_with_recursions() -> None:
     rng = np.random.default_rng(541)
     found = [disagreements(rng) for _ in range(many(4000, 150))]
     assert not [text for _, texts in found for text in texts]
@@ -186,7 +186,7 @@ def sampled_by_scipy(step: float) -> Plant:
 @pytest.mark.parametrize(
     "velocity", [None, Velocity.difference(samples=4), Velocity.low_pass(50.0)]
 )
-def test_54_a_sampled_device_has_the_limits_of_the_device_in_s(
+def test_a_sampled_device_has_the_limits_of_the_device_in_s(
     late: int, velocity: Velocity | None
 ) -> None:
     given: dict[str, Any] = {"sample_time": 1e-3, "delay": late / 4e3, "velocity": velocity}
@@ -203,7 +203,7 @@ def test_54_a_sampled_device_has_the_limits_of_the_device_in_s(
 
 
 @pytest.mark.parametrize("late", [0, 1, 7])
-def test_54_an_impact_on_a_device_in_z_is_a_push_for_one_of_its_steps(late: int) -> None:
+def test_an_impact_on_a_device_in_z_is_a_push_for_one_of_its_steps(late: int) -> None:
     stiffness, damping, period, count = 1000.0, 5.0, 1e-3, 4000
     a, b, c, d = sampled_by_scipy(period / 4)
     state, last, forces, positions = b[:, 0], 0.0, np.zeros(4 * count + late), np.zeros(count)
@@ -223,7 +223,7 @@ def test_54_an_impact_on_a_device_in_z_is_a_push_for_one_of_its_steps(late: int)
         assert float(found.value) == pytest.approx(settled * period, rel=1e-12)
 
 
-def test_54_systems_of_scipy_and_of_control_are_taken_with_their_steps() -> None:
+def test_systems_of_scipy_and_of_control_are_taken_with_their_steps() -> None:
     a, b, c, d = sampled_by_scipy(1e-3)
     one = a, b, c[:1], d[:1]
     above, below = scipy.signal.ss2tf(*one)
@@ -245,7 +245,7 @@ def test_54_systems_of_scipy_and_of_control_are_taken_with_their_steps() -> None
     assert eval(repr(both), {"Device": Device}) == both
 
 
-def test_54_a_wall_that_takes_away_the_spring_of_a_joint_is_unstable_by_structure() -> None:
+def test_a_wall_that_takes_away_the_spring_of_a_joint_is_unstable_by_structure() -> None:
     sprung = Device.simulated(0.1, stiffness=20.0, damping=0.5, step=2e-3)
     loop = HapticLoop(device=sprung, sample_time=4e-3, velocity=MEASURED)
     assert loop.verdict(-20.0, 1.0) == Verdict.UNSTABLE
@@ -254,7 +254,7 @@ def test_54_a_wall_that_takes_away_the_spring_of_a_joint_is_unstable_by_structur
 
 
 @pytest.mark.parametrize("velocity", [None, MEASURED, MEASURED * Filter.exponential(0.5)])
-def test_54_regions_and_grids_agree_with_verdicts(velocity: Velocity | None) -> None:
+def test_regions_and_grids_agree_with_verdicts(velocity: Velocity | None) -> None:
     position = Filter.exponential(0.7) if velocity else None
     loop = HapticLoop(
         device=JOINT, sample_time=4e-3, delay=2e-3, velocity=velocity, position=position
@@ -270,7 +270,7 @@ def test_54_regions_and_grids_agree_with_verdicts(velocity: Velocity | None) -> 
     assert many_limits.stiffness[1] == pytest.approx(limits.stiffness, rel=1e-8)
 
 
-def test_54_a_part_that_no_output_shows_counts() -> None:
+def test_a_part_that_no_output_shows_counts() -> None:
     for hidden, code in ((0.5, Verdict.STABLE), (1.0, Verdict.UNSTABLE), (2.0, Verdict.UNSTABLE)):
         above, below = np.poly([hidden]), np.poly([hidden, 0.25])
         device = Device.discrete(above.tolist(), below.tolist(), step=1e-3)
@@ -390,7 +390,7 @@ REFUSALS: list[tuple[Callable[[], object], str]] = [
 
 
 @pytest.mark.parametrize(("call", "words"), REFUSALS)
-def test_54_bad_input_is_refused_in_a_sentence(call: Callable[[], object], words: str) -> None:
+def test_bad_input_is_refused_in_a_sentence(call: Callable[[], object], words: str) -> None:
     with pytest.raises((TypeError, ValueError), match=words):
         call()
 

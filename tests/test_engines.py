@@ -157,7 +157,7 @@ PLACES += [
 
 
 @pytest.mark.parametrize(("where", "rule"), PLACES[:6:2])
-def test_54_mujoco_settles_below_proved_limits_and_not_above(where: str, rule: str) -> None:
+def test_mujoco_settles_below_proved_limits_and_not_above(where: str, rule: str) -> None:
     decided, wrong = disagreements(where, rule, 4)
     assert not wrong
     assert decided >= 4
@@ -165,7 +165,7 @@ def test_54_mujoco_settles_below_proved_limits_and_not_above(where: str, rule: s
 
 @pytest.mark.campaign
 @pytest.mark.parametrize(("where", "rule"), PLACES)
-def test_54_many_joints_of_mujoco_agree_with_proved_limits(where: str, rule: str) -> None:
+def test_many_joints_of_mujoco_agree_with_proved_limits(where: str, rule: str) -> None:
     decided, wrong = disagreements(where, rule, count := many(200, 8))
     assert not wrong
     assert decided > count
@@ -212,7 +212,7 @@ def stays_together(
 
 
 @pytest.mark.campaign
-def test_54_mujoco_keeps_a_tool_behind_a_coupling_below_proved_limits_and_not_above() -> None:
+def test_mujoco_keeps_a_tool_behind_a_coupling_below_proved_limits_and_not_above() -> None:
     rng, decided = np.random.default_rng(543), 0
     for _ in range(8):
         step, substeps = 10 ** rng.uniform(-3.3, -2.3), int(rng.integers(1, 4))

@@ -814,7 +814,7 @@ def test_a_cut_off_may_be_an_array_of_jax() -> None:
 
 @pytest.mark.parametrize("count", [80, pytest.param(200, marks=pytest.mark.campaign)])
 def test_long_windows_are_answered(count: int) -> None:
-    """Issue 31, 13: windows of more than 41 samples were refused. Truth: balls, a closed form."""
+    """Truth: balls, a closed form."""
     place = 0.001, 0.0004, 1.0
     window = Velocity.difference(samples=count)
     region = jaxstab.stable_region(**by_name(*place), velocity=window)
@@ -853,7 +853,7 @@ def test_every_kind_of_section_has_makers_a_text_and_keys(kind: type[Section]) -
         assert position_of(parsed(f"position = {toml_of(chain)}")["position"]) == chain
 
 
-def test_54_a_measured_velocity_is_no_filter_of_positions() -> None:
+def test_a_measured_velocity_is_no_filter_of_positions() -> None:
     velocity = Velocity.measured() * Filter.average(samples=2)
     assert str(velocity) == "the device's own velocity, a window of 2 samples"
     assert eval(repr(velocity), {"Velocity": Velocity, "Filter": Filter}) == velocity

@@ -69,13 +69,13 @@ def fuzzed(fuzzer: Path, folder: Path, *options: str) -> str:
 
 
 @pytest.mark.campaign
-def test_32_the_corpus_and_some_mutants_are_read_safely(fuzzer: Path, tmp_path: Path) -> None:
+def test_the_corpus_and_some_mutants_are_read_safely(fuzzer: Path, tmp_path: Path) -> None:
     said = fuzzed(fuzzer, tmp_path, "-runs=20000", "-seed=1")
     assert "Done 20000 runs" in said
 
 
 @pytest.mark.campaign
-def test_32_minutes_of_mutants_are_read_safely(fuzzer: Path, tmp_path: Path) -> None:
+def test_minutes_of_mutants_are_read_safely(fuzzer: Path, tmp_path: Path) -> None:
     """15 minutes at full size."""
     said = fuzzed(fuzzer, tmp_path, f"-max_total_time={SECONDS}")
     assert "Done " in said

@@ -264,7 +264,7 @@ def assert_first_rows_hold(seed: int, boxes: int, *, moves: bool = False) -> int
     return count
 
 
-def test_31_10_walls_of_a_first_row_take_energy() -> None:
+def test_walls_of_a_first_row_take_energy() -> None:
     """Lemma B20, where neither the device nor the hand need be damped, against balls and mpmath."""
     assert sum(assert_first_rows_hold(seed, 200) for seed in range(200, 212)) > 10
 

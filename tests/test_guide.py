@@ -50,7 +50,7 @@ soft = { stiffness = 100.0, damping = 1.0 }
 
 
 @pytest.mark.campaign
-def test_31_10_the_guide_leads_a_steering_wheel_to_a_program_in_c(
+def test_the_guide_leads_a_steering_wheel_to_a_program_in_c(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Every command of the guide but `tune`, which is the same for all scenes and takes long."""

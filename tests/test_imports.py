@@ -60,7 +60,7 @@ def test_every_public_name_can_be_imported(name: str) -> None:
 
 
 @pytest.mark.campaign
-def test_51_14_all_of_it_is_there_without_docstrings() -> None:
+def test_all_of_it_is_there_without_docstrings() -> None:
     code = (
         "import importlib, pkgutil, jaxstab\n"
         "modules = pkgutil.walk_packages(jaxstab.__path__, 'jaxstab.')\n"

@@ -39,7 +39,7 @@ BUSY = 2.0  # times as long where other tests run
 WORKER = "Process Spawn"  # begins what multiprocessing prints of a worker that an exception ended
 
 
-def test_51_workers_never_see_ctrl_c() -> None:
+def test_workers_never_see_ctrl_c() -> None:
     blocked, handler = signal.pthread_sigmask(signal.SIG_BLOCK, []), signal.getsignal(signal.SIGINT)
     with prompt_interrupts(), processes(1) as pool:
         assert signal.SIGINT in pool.submit(signal.pthread_sigmask, signal.SIG_BLOCK, []).result()
@@ -47,7 +47,7 @@ def test_51_workers_never_see_ctrl_c() -> None:
     assert signal.getsignal(signal.SIGINT) is handler
 
 
-def test_51_an_error_ends_workers_at_once_whatever_they_compute() -> None:
+def test_an_error_ends_workers_at_once_whatever_they_compute() -> None:
     began = time.monotonic()
 
     def interrupted_work() -> None:
@@ -115,7 +115,7 @@ def interrupted(command: tuple[str, ...], seconds: float, folder: Path) -> tuple
         pytest.param("study with workers", 5.0, marks=pytest.mark.campaign),
     ],
 )
-def test_51_ctrl_c_ends_a_command(name: str, seconds: float, tmp_path: Path) -> None:
+def test_ctrl_c_ends_a_command(name: str, seconds: float, tmp_path: Path) -> None:
     took, told = interrupted(COMMANDS[name], seconds, tmp_path)
     assert took < BUSY * MOST
     assert WORKER not in told

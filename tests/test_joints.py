@@ -65,7 +65,7 @@ def mass_matrix(elbow: float, armatures: tuple[float, float] = (0.01, 0.002)) ->
     )
 
 
-def test_55_inertias_are_those_of_the_mass_matrix_over_postures() -> None:
+def test_inertias_are_those_of_the_mass_matrix_over_postures() -> None:
     answer = jaxstab.joints(arm(), rate=500.0, postures=5000).joints
     matrices = [mass_matrix(angle) for angle in np.radians(np.linspace(-150.0, 150.0, 3001))]
     for index, joint in enumerate(answer.values()):
@@ -78,7 +78,7 @@ def test_55_inertias_are_those_of_the_mass_matrix_over_postures() -> None:
 
 
 @pytest.mark.parametrize(("delay", "gains", "least"), LEAST_INERTIAS)
-def test_55_the_least_inertia_is_the_known_one(
+def test_the_least_inertia_is_the_known_one(
     delay: float, gains: tuple[float, float], least: float
 ) -> None:
     given = {"elbow": dict(zip(("kp", "kd"), gains, strict=True))}
@@ -209,7 +209,7 @@ KINDS = ["held", "outside", *RULES]
 
 
 @pytest.mark.parametrize("kind", first(KINDS[1:], 2))
-def test_55_mujoco_settles_above_the_least_inertia_and_not_below(kind: str) -> None:
+def test_mujoco_settles_above_the_least_inertia_and_not_below(kind: str) -> None:
     decided, wrong = disagreements(kind, 3)
     assert not wrong
     assert decided >= 5
@@ -217,7 +217,7 @@ def test_55_mujoco_settles_above_the_least_inertia_and_not_below(kind: str) -> N
 
 @pytest.mark.campaign
 @pytest.mark.parametrize("kind", KINDS)
-def test_55_many_joints_of_mujoco_agree_with_their_least_inertia(kind: str) -> None:
+def test_many_joints_of_mujoco_agree_with_their_least_inertia(kind: str) -> None:
     decided, wrong = disagreements(kind, count := many(50, 3))
     assert not wrong
     assert decided >= 1.8 * count
@@ -260,7 +260,7 @@ TANGLED = """
 """
 
 
-def test_55_every_joint_is_answered_or_has_its_reason() -> None:
+def test_every_joint_is_answered_or_has_its_reason() -> None:
     model = mujoco.MjModel.from_xml_string(TANGLED)
     answer = jaxstab.joints(model, rate=1000.0, delay=1e-3)
     verdicts = {name: joint.verdict for name, joint in answer.joints.items()}
@@ -334,7 +334,7 @@ def radius_in_mujoco(model: Any) -> float:
         (bar(joint='damping="1 2 3"'), "its spring or damper is not linear"),
     ],
 )
-def test_55_a_joint_under_another_law_than_pd_has_its_reason(model: Any, words: str) -> None:
+def test_a_joint_under_another_law_than_pd_has_its_reason(model: Any, words: str) -> None:
     answer = jaxstab.joints(model, simulated=True)
     assert words in str(answer.joints["bar"].verdict)
     assert not answer.all_stable
@@ -370,7 +370,7 @@ SPRING = 'damping="2" stiffness="500"'
         ({"actuators": PD.replace("/>", ' damping="2"/>'), "joint": 'damping="0.3"'}, 100.0, 1.0),
     ],
 )
-def test_55_what_a_file_disables_does_not_act(
+def test_what_a_file_disables_does_not_act(
     file: dict[str, str], kp: float | None, kd: float | None, integrator: str
 ) -> None:
     options = f'integrator="{integrator}" {file.get("options", "")}'
@@ -382,7 +382,7 @@ def test_55_what_a_file_disables_does_not_act(
     assert float(radius.value) == pytest.approx(radius_in_mujoco(model), abs=1e-9)
 
 
-def test_55_a_joint_without_a_name_has_one_of_its_own() -> None:
+def test_a_joint_without_a_name_has_one_of_its_own() -> None:
     body = '<body><joint {}axis="0 0 1"/><geom size="0.1"/></body>'
     named, unnamed = body.format('name="joint 1" '), body.format("")
     held = '<equality><joint joint1="joint 1"/></equality>'
@@ -395,7 +395,7 @@ def test_55_a_joint_without_a_name_has_one_of_its_own() -> None:
     assert [own.verdict for own in answer.joints.values()] == ["no gains", "no gains"]
 
 
-def test_55_a_joint_that_cannot_be_computed_is_named_and_the_others_are_answered() -> None:
+def test_a_joint_that_cannot_be_computed_is_named_and_the_others_are_answered() -> None:
     gains = {name: {"kp": 20.0, "kd": 1.0} for name in ("shoulder", "elbow")}
     answer = jaxstab.joints(arm(slack=1e6), rate=500.0, delay=2e-3, gains=gains)
     assert answer.joints["shoulder"].verdict == Verdict.STABLE
@@ -404,14 +404,14 @@ def test_55_a_joint_that_cannot_be_computed_is_named_and_the_others_are_answered
     assert {*answer.safe_gains()} == {"shoulder"}
 
 
-def test_55_a_velocity_servo_is_stable_but_for_its_position_unless_the_delay_varies() -> None:
+def test_a_velocity_servo_is_stable_but_for_its_position_unless_the_delay_varies() -> None:
     _, plain = answered((0.0, 1.0))
     assert plain.verdict == "stable but for the position, which nothing holds"
     assert answered((0.0, plain.kd_growth * 1.001))[1].verdict == Verdict.UNSTABLE
     assert answered((0.0, 0.1), jitter=1e-3)[1].verdict == Verdict.UNDECIDED
 
 
-def test_55_a_joint_without_gains_is_not_called_stable() -> None:
+def test_a_joint_without_gains_is_not_called_stable() -> None:
     answer = jaxstab.joints(arm(), rate=500.0)
     assert [joint.verdict for joint in answer.joints.values()] == ["no gains"] * 2
     assert not answer.all_stable
@@ -438,7 +438,7 @@ URDF = """
 """
 
 
-def test_55_urdf_is_read_without_its_meshes_and_slides_have_units_of_their_own(
+def test_urdf_is_read_without_its_meshes_and_slides_have_units_of_their_own(
     tmp_path: Path,
 ) -> None:
     (tmp_path / "lift.urdf").write_text(URDF)
@@ -462,7 +462,7 @@ def test_55_urdf_is_read_without_its_meshes_and_slides_have_units_of_their_own(
     assert "\\x9b2J\\x7f  slides  3" in run(*command[:2], *command[4:]).stdout
 
 
-def test_55_the_page_shows_what_the_command_prints(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_page_shows_what_the_command_prints(monkeypatch: pytest.MonkeyPatch) -> None:
     root = Path(__file__).parents[1]
     monkeypatch.chdir(root)
     page = (root / "docs" / "robots.md").read_text(encoding="utf-8")
@@ -480,7 +480,7 @@ def answered(gains: tuple[float, float], **given: Any) -> tuple[Joints, JointAns
 
 
 @pytest.mark.parametrize("side", [0.999, 1.001])
-def test_55_gains_and_delay_may_grow_by_what_is_said(side: float) -> None:
+def test_gains_and_delay_may_grow_by_what_is_said(side: float) -> None:
     expected = Verdict.STABLE if side < 1.0 else Verdict.UNSTABLE
     _, elbow = answered((20.0, 1.0))
     assert answered((20.0 * elbow.kp_growth * side, 1.0))[1].verdict == expected
@@ -489,7 +489,7 @@ def test_55_gains_and_delay_may_grow_by_what_is_said(side: float) -> None:
     assert answered((20.0, 1.0), delay=later)[1].verdict == expected
 
 
-def test_55_safe_gains_have_a_factor_of_two_left(tmp_path: Path) -> None:
+def test_safe_gains_have_a_factor_of_two_left(tmp_path: Path) -> None:
     answer, elbow = answered((200.0, 10.0))
     assert elbow.verdict == Verdict.UNSTABLE
     safe = answer.safe_gains()["elbow"]
@@ -505,7 +505,7 @@ def test_55_safe_gains_have_a_factor_of_two_left(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["1", "on", "1e3", "~"])
-def test_55_names_of_joints_are_texts_in_files_of_gains(name: str, tmp_path: Path) -> None:
+def test_names_of_joints_are_texts_in_files_of_gains(name: str, tmp_path: Path) -> None:
     robot, safe, own = (tmp_path / end for end in ("arm.xml", "safe.yaml", "own.yaml"))
     robot.write_text(ARM.format(**PLAIN).replace("elbow", name))
     timing = ["--rate", "500", "--delay", "2e-3"]
@@ -515,7 +515,7 @@ def test_55_names_of_joints_are_texts_in_files_of_gains(name: str, tmp_path: Pat
         assert run("joints", robot, *timing, "--gains", file).stdout.count(" stable ") == stable
 
 
-def test_55_what_lacks_armature_is_stable_with_it() -> None:
+def test_what_lacks_armature_is_stable_with_it() -> None:
     _, elbow = answered((40.0, 4.0))
     missing = elbow.missing_armature
     for armature, verdict in ((1.001, Verdict.STABLE), (0.999, Verdict.UNSTABLE)):
@@ -525,7 +525,7 @@ def test_55_what_lacks_armature_is_stable_with_it() -> None:
         assert answer.joints["elbow"].verdict == verdict
 
 
-def test_55_a_delay_that_varies_allows_less() -> None:
+def test_a_delay_that_varies_allows_less() -> None:
     _, constant = answered((20.0, 1.0), delay=3e-3)
     _, moving = answered((20.0, 1.0), jitter=1e-3)
     assert moving.verdict == Verdict.STABLE
@@ -549,7 +549,7 @@ PLAIN = {
 }
 
 
-def test_55_a_sample_time_in_place_of_the_rate_is_warned_of() -> None:
+def test_a_sample_time_in_place_of_the_rate_is_warned_of() -> None:
     with pytest.warns(UserWarning, match="rate is 0.002 Hz, usual are 20 to 100000 Hz; is it a sa"):
         jaxstab.joints(arm(), rate=0.002, delay=2e-3)
 
@@ -580,7 +580,7 @@ def test_55_a_sample_time_in_place_of_the_rate_is_warned_of() -> None:
         (["--rate", "500", "--safe-gains", "safe.txt"], "ends in neither .yaml nor .yml"),
     ],
 )
-def test_55_bad_input_is_one_sentence(options: list[str], words: str, tmp_path: Path) -> None:
+def test_bad_input_is_one_sentence(options: list[str], words: str, tmp_path: Path) -> None:
     files = {
         "bad": "elbow: {kp: 1",
         "list": "- elbow",
@@ -611,9 +611,7 @@ def test_55_bad_input_is_one_sentence(options: list[str], words: str, tmp_path: 
          "<parent link='a'/><child link='b'/></joint></robot>", "mass and inertia"),
     ],
 )  # fmt: skip
-def test_55_files_that_mujoco_does_not_read_are_named(
-    text: str, words: str, tmp_path: Path
-) -> None:
+def test_files_that_mujoco_does_not_read_are_named(text: str, words: str, tmp_path: Path) -> None:
     (tmp_path / "robot.xml").write_text(text)
     done = run("joints", tmp_path / "robot.xml", "--rate", "500")
     assert done.exit_code == 2
@@ -621,7 +619,7 @@ def test_55_files_that_mujoco_does_not_read_are_named(
     assert words in done.stderr
 
 
-def test_55_without_mujoco_the_sentence_says_what_to_install(
+def test_without_mujoco_the_sentence_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
@@ -631,13 +629,13 @@ def test_55_without_mujoco_the_sentence_says_what_to_install(
     assert "jaxstab[robots]" in done.stderr
 
 
-def test_55_rules_whose_gains_are_not_affine_are_refused() -> None:
+def test_rules_whose_gains_are_not_affine_are_refused() -> None:
     with pytest.raises(ValueError, match="RK4"):
         jaxstab.joints(arm(integrator="RK4"), simulated=True)
 
 
 @pytest.mark.parametrize("integrator", ["Euler", "implicitfast", "RK4"])
-def test_55_a_damped_joint_under_held_torques_of_an_engine_is_proved(integrator: str) -> None:
+def test_a_damped_joint_under_held_torques_of_an_engine_is_proved(integrator: str) -> None:
     timing: dict[str, Any] = {"rate": 250.0, "delay": 2e-3, "simulated": True}
     for kp, verdict in ((5.0, Verdict.STABLE), (400.0, Verdict.UNSTABLE)):
         gains = {"elbow": {"kp": kp, "kd": 0.5}}
@@ -646,7 +644,7 @@ def test_55_a_damped_joint_under_held_torques_of_an_engine_is_proved(integrator:
         assert elbow.verdict == verdict
 
 
-def test_55_growth_is_of_every_inertia_between_the_ends() -> None:
+def test_growth_is_of_every_inertia_between_the_ends() -> None:
     """The elbow held by RK4 at 1 ms, every 4th step, two steps late: the radius of one period."""
     timing: dict[str, Any] = {"rate": 250.0, "delay": 2e-3, "simulated": True}
     kp, kd, damping, spring = 5.0, 0.1, 0.05, 3.0
@@ -674,7 +672,7 @@ def test_55_growth_is_of_every_inertia_between_the_ends() -> None:
             assert all(radius(inertia, *grown) < 1.0 for inertia in inertias) == is_stable
 
 
-def test_55_the_exit_code_tells_a_ci_of_a_joint_that_is_not_stable(tmp_path: Path) -> None:
+def test_the_exit_code_tells_a_ci_of_a_joint_that_is_not_stable(tmp_path: Path) -> None:
     (tmp_path / "arm.xml").write_text(ARM.format(**PLAIN))
     command = ["joints", tmp_path / "arm.xml", "--rate", "500", "--delay", "2e-3"]
     done = run(*command, "--csv", "-", "--safe-gains", tmp_path / "safe.yaml")

@@ -450,7 +450,7 @@ def test_regions_and_limits_do_not_import_jax() -> None:
     ],
 )
 def test_delays_have_one_limit(ask: Any) -> None:
-    """Issue 31, 4: a bare OverflowError above 1,020 samples."""
+    """Above 1,020 samples float64 overflows."""
     assert ask(500.0) is not None
     for delay in (500.5, 5000.0):
         with pytest.raises(ValueError, match="500") as caught:

@@ -1,6 +1,6 @@
 """Windows of 42 to 200 samples: margins, settling times and hands against balls and lfilter.
 
-Issue 31, 13: such windows were refused. A window of 20 ms is that of the preset of Force Dimension.
+A window of 20 ms is that of the preset of Force Dimension.
 """
 
 from itertools import product
@@ -68,7 +68,7 @@ CASES = [
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
-def test_31_13_margins_with_long_windows_end_where_balls_say(case: Case) -> None:
+def test_margins_with_long_windows_end_where_balls_say(case: Case) -> None:
     loop, (stiffness, damping) = case.loop, case.wall
     found = loop.margins(*case.wall)
     assert found.verdict == Verdict.STABLE
@@ -87,7 +87,7 @@ def test_31_13_margins_with_long_windows_end_where_balls_say(case: Case) -> None
 
 @pytest.mark.parametrize("excitation", ["force", pytest.param("impact", marks=CAMPAIGN)])
 @pytest.mark.parametrize("case", CASES, ids=str)
-def test_31_13_settling_with_long_windows_is_that_of_lfilter(case: Case, excitation: str) -> None:
+def test_settling_with_long_windows_is_that_of_lfilter(case: Case, excitation: str) -> None:
     loop = case.loop
     found = loop.settling_time(*case.wall, excitation=excitation, level=LEVEL)
     assert int(found.status) == SettlingStatus.SETTLED
@@ -112,7 +112,7 @@ def test_31_13_settling_with_long_windows_is_that_of_lfilter(case: Case, excitat
 @pytest.mark.parametrize(
     "case", [SHORTER, *CASES[2:-1], pytest.param(LONGEST, marks=CAMPAIGN)], ids=str
 )
-def test_31_13_hands_with_long_windows_are_those_of_balls(case: Case) -> None:
+def test_hands_with_long_windows_are_those_of_balls(case: Case) -> None:
     loop = case.loop
     ranges = HANDS.mass, HANDS.damping, HANDS.stiffness
     rng = np.random.default_rng(case.samples)

@@ -236,7 +236,7 @@ def time_of_struck(case: str, wall: tuple[float, float]) -> float:
 
 
 @pytest.mark.parametrize("case", STRUCK)
-def test_item_2_a_blow_that_moves_a_device_at_once_finds_its_estimator_at_rest(case: str) -> None:
+def test_a_blow_that_moves_a_device_at_once_finds_its_estimator_at_rest(case: str) -> None:
     """The damper was called settled after 0.063 s."""
     found = struck_loop(case).settling_time(244.0, 0.87, excitation="impact", level=0.05)
     assert int(found.status) == SettlingStatus.SETTLED
@@ -246,7 +246,7 @@ def test_item_2_a_blow_that_moves_a_device_at_once_finds_its_estimator_at_rest(c
 
 
 @pytest.mark.campaign
-def test_item_2_walls_that_are_tuned_for_such_a_blow_settle_when_they_say() -> None:
+def test_walls_that_are_tuned_for_such_a_blow_settle_when_they_say() -> None:
     loop = struck_loop("damper")
     for best in (
         loop.tune("settling", excitation="impact", level=0.05),

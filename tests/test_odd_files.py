@@ -217,7 +217,7 @@ print(*found.values())
 
 @pytest.mark.campaign
 @pytest.mark.skipif(sys.platform != "linux", reason="the limit is that of Linux")
-def test_28_a_good_file_is_not_called_damaged_where_memory_runs_short() -> None:
+def test_a_good_file_is_not_called_damaged_where_memory_runs_short() -> None:
     golden = Path(__file__).resolve().parents[1] / "data" / "golden" / "atlas-v4.h5"
     # Freed memory goes back to the system at once, so that none is at hand beyond the limit.
     returned = {"MALLOC_MMAP_THRESHOLD_": "4096", "MALLOC_TRIM_THRESHOLD_": "0"}
@@ -262,7 +262,7 @@ def test_a_table_is_not_called_damaged_where_memory_runs_short(
         tables.read(text)
 
 
-def test_31_a_pipe_is_not_waited_for(path: Path, tmp_path: Path) -> None:
+def test_a_pipe_is_not_waited_for(path: Path, tmp_path: Path) -> None:
     pipe = tmp_path / "pipe.h5"
     os.mkfifo(pipe)
     for command in ("info", "verify"):

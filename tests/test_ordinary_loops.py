@@ -159,7 +159,7 @@ def settled_in_simulation(one: Ordinary, excitation: str, samples: int) -> tuple
     return int(np.flatnonzero(size > LEVEL)[-1]) + 1, float(np.abs(size / LEVEL - 1.0).min())
 
 
-def test_item_11_settling_is_proved_of_nearly_all_and_is_that_of_simulations(
+def test_settling_is_proved_of_nearly_all_and_is_that_of_simulations(
     loops: list[Ordinary],
 ) -> None:
     unknown, simulated = 0, 0

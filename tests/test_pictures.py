@@ -1,4 +1,4 @@
-"""Issue 31, item 21: pictures show what is asked, with labels that agree with the text."""
+"""Pictures show what is asked, with labels that agree with the text."""
 
 import re
 from dataclasses import replace
@@ -58,7 +58,7 @@ def marks_of(panel: Axes) -> dict[str, np.ndarray[Any, Any]]:
 
 
 @pytest.mark.parametrize("delay", [0.0, 1e-3])
-def test_issue_31_21_the_main_component_fills_the_axes(delay: float) -> None:
+def test_the_main_component_fills_the_axes(delay: float) -> None:
     loop = jaxstab.HapticLoop(
         device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=delay, velocity=WINDOW
     )
@@ -83,7 +83,7 @@ def test_issue_31_21_the_main_component_fills_the_axes(delay: float) -> None:
     assert not without.plot(ax=Figure().subplots()).child_axes
 
 
-def test_issue_31_21_limits_draw_the_walls_and_what_all_hands_allow() -> None:
+def test_limits_draw_the_walls_and_what_all_hands_allow() -> None:
     scene = Scene.from_table(TABLE | {"hand": HAND})
     limits = scene_limits(scene)
     figure = scene_figure(scene, limits)
@@ -112,7 +112,7 @@ def test_check_draws_how_far_each_gain_may_go_alone_and_the_responses() -> None:
     assert len(responses.get_lines()) == 2
 
 
-def test_issue_31_21_tune_draws_what_it_answers() -> None:
+def test_tune_draws_what_it_answers() -> None:
     scene = Scene.from_table(TABLE | {"wanted": {"at_stiffness": 2000.0}})
     tuned = tune_walls(scene)
     (panel,) = scene_figure(scene, tuned).axes
@@ -131,7 +131,7 @@ def test_issue_31_21_tune_draws_what_it_answers() -> None:
 
 
 @pytest.mark.campaign
-def test_issue_31_21_design_draws_what_it_answers() -> None:
+def test_design_draws_what_it_answers() -> None:
     scene = Scene.from_table(TABLE | {"wanted": {"stiffness": 20000.0}})
     design = design_loop(scene)
     loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=1e-3)
@@ -157,7 +157,7 @@ def test_issue_31_21_design_draws_what_it_answers() -> None:
 
 @pytest.mark.campaign
 @pytest.mark.parametrize("count", [1, 4][: many(2, small=1)])
-def test_issue_31_21_nothing_of_a_device_with_modes_is_cut_off(count: int) -> None:
+def test_nothing_of_a_device_with_modes_is_cut_off(count: int) -> None:
     device = TABLE["device"] | {
         "modes": MODES[:count],
         "actuator": {"bandwidth": 300.0},
@@ -188,7 +188,7 @@ def test_issue_31_21_nothing_of_a_device_with_modes_is_cut_off(count: int) -> No
         ["design", "--stiffness", "2000"],
     ],
 )
-def test_issue_31_21_commands_draw_their_answers(command: list[str], tmp_path: Path) -> None:
+def test_commands_draw_their_answers(command: list[str], tmp_path: Path) -> None:
     picture = tmp_path / "answer.svg"
     loop = ["--mass", "0.25", "--damping", "0.1", "--sample-time", "0.001"]
     done = run(*command, *loop, "--plot", picture)

@@ -1,4 +1,4 @@
-"""Scenes whose device has a range of masses, over its postures (issue 31, item 14)."""
+"""Scenes whose device has a range of masses, over its postures."""
 
 import json
 from pathlib import Path

@@ -120,7 +120,7 @@ def assert_limits_are_stable(seeds: Iterable[int]) -> None:
 
 
 def test_limits_are_stable_as_they_are_printed() -> None:
-    """Issue 51, 4; of 11 the corner is a needle, of 15 an island has one."""
+    """Of seed 11 the corner is a needle, of 15 an island has one."""
     assert_limits_are_stable((11, 15, 16))
 
 
@@ -207,7 +207,7 @@ def assert_headlines_are_stable(count: int) -> None:
 
 @needs_node
 def test_headlines_of_the_explorer_are_stable_as_they_are_printed() -> None:
-    """Issue 51, 4: "3.745 N m/rad, at a damping of 0.008" is not, nor 0.6078 at 0.006."""
+    """ "3.745 N m/rad, at a damping of 0.008" is not, nor 0.6078 at 0.006."""
     assert_headlines_are_stable(100)
 
 

@@ -145,7 +145,7 @@ def assert_nothing_unstable(scene: Scene, guard: Guard, seed: int, count: int) -
 
 
 @pytest.mark.campaign
-def test_31_10_a_steering_wheel_has_a_guard() -> None:
+def test_a_steering_wheel_has_a_guard() -> None:
     guard = guard_of(WHEEL)
     assert np.all(guard.rows == [0, 16])  # all of the table
     assert 0.9 < guard.granted < 1.0
@@ -156,7 +156,7 @@ def test_31_10_a_steering_wheel_has_a_guard() -> None:
     assert 0.9 * least.exact < least.granted < least.exact
 
 
-def test_31_10_what_nothing_damps_has_a_guard() -> None:
+def test_what_nothing_damps_has_a_guard() -> None:
     """Without damping the hand's spring is on the circle where the wall has no gains."""
     loop = HapticLoop(device_mass=0.25, device_damping=0.0, sample_time=1e-3, delay=1e-3)
     hands = HandRange(stiffness=(0.0, 300.0))
@@ -175,7 +175,7 @@ def planned(loop: HapticLoop, *cells: tuple[int, int, int]) -> list[int]:
     return list(map(int, re.findall(r"(\d+) (?:cells|s) ", plan_guard(loop, *cells))))
 
 
-def test_31_10_the_plan_of_a_guard_is_within_its_time() -> None:
+def test_the_plan_of_a_guard_is_within_its_time() -> None:
     assert planned(WHEEL.loop)[0] == 4 * 16  # of a delay that moves
     cells, usual, most = planned(WHEEL.loop, CONSTANT_CELLS)
     assert cells == 4 * 8 * 16
@@ -186,7 +186,7 @@ def test_31_10_the_plan_of_a_guard_is_within_its_time() -> None:
 
 
 @pytest.mark.campaign
-def test_31_10_guards_of_random_scenes() -> None:
+def test_guards_of_random_scenes() -> None:
     """At least 95 of 100 are built; each grants nine tenths of what is proved for all hands."""
     shares: dict[int, float] = {}
     for seed in range(SCENES):

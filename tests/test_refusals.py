@@ -1,4 +1,4 @@
-"""Issue 31, items 29 to 31: input without end, too large or unprintable is refused."""
+"""Input without end, too large or unprintable is refused."""
 
 import csv
 import io
@@ -49,7 +49,7 @@ def scene_text(*walls: str) -> str:
     ],
     ids=lambda command: command[0],
 )
-def test_issue_31_29_a_file_without_end_is_refused(command: list[str]) -> None:
+def test_a_file_without_end_is_refused(command: list[str]) -> None:
     done = run_process(*command)
     assert done.returncode in (1, 2)
     assert_one_sentence(done.stderr)
@@ -57,7 +57,7 @@ def test_issue_31_29_a_file_without_end_is_refused(command: list[str]) -> None:
 
 
 @pytest.mark.campaign
-def test_issue_31_29_a_toml_file_of_100_mb_is_refused_unread(tmp_path: Path) -> None:
+def test_a_toml_file_of_100_mb_is_refused_unread(tmp_path: Path) -> None:
     file = tmp_path / "scene.toml"
     file.write_text(scene_text())
     with file.open("r+b") as stream:
@@ -70,7 +70,7 @@ def test_issue_31_29_a_toml_file_of_100_mb_is_refused_unread(tmp_path: Path) -> 
     assert run("limits", file).exit_code == 0
 
 
-def test_issue_31_29_a_hundred_thousand_walls_are_refused() -> None:
+def test_a_hundred_thousand_walls_are_refused() -> None:
     walls = {f"w{number}": WALL for number in range(100_000)}
     with pytest.raises(ValueError, match="walls has 100000 entries; give 1000 at most"):
         Scene.from_table(TABLE | {"walls": walls})
@@ -91,7 +91,7 @@ def test_issue_31_29_a_hundred_thousand_walls_are_refused() -> None:
     ],
     ids=lambda value: " ".join(value[:1]) if isinstance(value, list) else "",
 )
-def test_issue_31_29_what_would_take_too_long_is_refused_at_the_door(
+def test_what_would_take_too_long_is_refused_at_the_door(
     command: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -121,7 +121,7 @@ NO_NAMES = [
 
 
 @pytest.mark.parametrize("name", NO_NAMES, ids=ascii)
-def test_issue_31_30_a_name_that_commands_a_terminal_or_a_spreadsheet_is_refused(
+def test_a_name_that_commands_a_terminal_or_a_spreadsheet_is_refused(
     name: str,
 ) -> None:
     for done in (
@@ -137,11 +137,11 @@ def test_issue_31_30_a_name_that_commands_a_terminal_or_a_spreadsheet_is_refused
 
 
 @pytest.mark.parametrize("name", ["größe", "壁", "soft wall (5 N)", "1 = a", "a" * MOST_LETTERS])
-def test_issue_31_30_other_names_are_allowed(name: str) -> None:
+def test_other_names_are_allowed(name: str) -> None:
     assert checked_label(name) == name
 
 
-def test_issue_31_30_keys_of_a_file_reach_the_terminal_in_one_line(tmp_path: Path) -> None:
+def test_keys_of_a_file_reach_the_terminal_in_one_line(tmp_path: Path) -> None:
     file = tmp_path / "scene.toml"
     file.write_text('"mass\\nverdict: stable\\u001b[31m" = 1\n' + scene_text())
     done = run("limits", file)
@@ -153,7 +153,7 @@ def test_issue_31_30_keys_of_a_file_reach_the_terminal_in_one_line(tmp_path: Pat
     assert "\x1b" not in two.stdout + two.stderr
 
 
-def test_issue_31_30_a_csv_file_holds_no_formula(tmp_path: Path) -> None:
+def test_a_csv_file_holds_no_formula(tmp_path: Path) -> None:
     file = tmp_path / "=1+2.toml"
     file.write_text('"=1+2" = 1\n' + scene_text())
     good = tmp_path / "good.toml"
@@ -175,7 +175,7 @@ def test_issue_31_30_a_csv_file_holds_no_formula(tmp_path: Path) -> None:
 
 
 @pytest.mark.campaign
-def test_issue_31_30_a_dollar_sign_of_a_name_begins_no_formula(tmp_path: Path) -> None:
+def test_a_dollar_sign_of_a_name_begins_no_formula(tmp_path: Path) -> None:
     picture = tmp_path / "scene.svg"
     done = run("check", *LOOP, "--wall", r"a $\frac{$", "1000", "10", "--plot", picture)
     assert done.exit_code == 0, done.stderr
@@ -192,7 +192,7 @@ def guard() -> jaxstab.results.Guard:
 @pytest.mark.parametrize(
     "about", ["**// int injected;", "*/ int injected;", "*/", "a\x00b", "a\x1b[31m", "a\rb"]
 )
-def test_issue_31_30_what_a_guard_is_about_stays_in_its_comment(
+def test_what_a_guard_is_about_stays_in_its_comment(
     about: str, guard: jaxstab.results.Guard
 ) -> None:
     with pytest.raises(ValueError, match="about is "):
@@ -204,7 +204,7 @@ def test_issue_31_30_what_a_guard_is_about_stays_in_its_comment(
 
 
 @pytest.mark.parametrize("name", ["", "1a", "a-b", "a b", "a\n", "a" * 41])
-def test_issue_31_30_a_guard_has_a_short_name_of_c(name: str) -> None:
+def test_a_guard_has_a_short_name_of_c(name: str) -> None:
     with pytest.raises(ValueError, match=r"name is .*; give at most 40 letters"):
         checked_name(name)
 
@@ -212,7 +212,7 @@ def test_issue_31_30_a_guard_has_a_short_name_of_c(name: str) -> None:
 # ------------------------------------------------------------------------------------ 31: words
 
 
-def test_issue_31_31_the_package_runs_as_a_module() -> None:
+def test_the_package_runs_as_a_module() -> None:
     done = subprocess.run(
         [sys.executable, "-m", "jaxstab", "--version"], capture_output=True, text=True, check=False
     )
@@ -220,7 +220,7 @@ def test_issue_31_31_the_package_runs_as_a_module() -> None:
 
 
 @pytest.mark.campaign
-def test_issue_31_31_a_zip_file_on_the_path_can_be_imported(tmp_path: Path) -> None:
+def test_a_zip_file_on_the_path_can_be_imported(tmp_path: Path) -> None:
     """As it is in a wheel; its dependencies are installed."""
     wheel = tmp_path / "jaxstab.whl"
     with zipfile.ZipFile(wheel, "w") as archive:
@@ -253,7 +253,7 @@ def test_issue_31_31_a_zip_file_on_the_path_can_be_imported(tmp_path: Path) -> N
     assert here.stdout.startswith(str(wheel))
 
 
-def test_issue_31_31_numbers_of_5000_digits_are_refused_in_words(tmp_path: Path) -> None:
+def test_numbers_of_5000_digits_are_refused_in_words(tmp_path: Path) -> None:
     digits = "9" * 5000
     file = tmp_path / "scene.toml"
     file.write_text(scene_text().replace("0.25", digits))
@@ -276,7 +276,7 @@ def test_issue_31_31_numbers_of_5000_digits_are_refused_in_words(tmp_path: Path)
         Scene.from_table(TABLE | {"device": {"mass": many, "damping": 0.1}})
 
 
-def test_issue_31_31_stdout_that_is_full_is_named() -> None:
+def test_stdout_that_is_full_is_named() -> None:
     for words in (["limits", *LOOP], ["limits", *LOOP, "--csv", "-"]):
         done = subprocess.run(
             ["sh", "-c", '"$@" > /dev/full', "sh", sys.executable, "-c", START, *words],
@@ -289,7 +289,7 @@ def test_issue_31_31_stdout_that_is_full_is_named() -> None:
 
 
 @pytest.mark.campaign
-def test_issue_31_31_names_reach_a_stdout_of_ascii(tmp_path: Path) -> None:
+def test_names_reach_a_stdout_of_ascii(tmp_path: Path) -> None:
     file = tmp_path / "scene.toml"
     file.write_text(scene_text('"größe"'), encoding="utf-8")
     spec = tmp_path / "spec.toml"
@@ -309,7 +309,7 @@ def test_issue_31_31_names_reach_a_stdout_of_ascii(tmp_path: Path) -> None:
         assert done.returncode == 0, done.stderr
 
 
-def test_issue_31_31_a_file_that_is_not_utf_8_is_named_with_its_line(tmp_path: Path) -> None:
+def test_a_file_that_is_not_utf_8_is_named_with_its_line(tmp_path: Path) -> None:
     file = tmp_path / "bad.toml"
     file.write_bytes(b"# a\n# \xff\n")
     words = f"jaxstab: {file}: line 2 is not UTF-8 text; save the file as UTF-8.\n"
@@ -318,7 +318,7 @@ def test_issue_31_31_a_file_that_is_not_utf_8_is_named_with_its_line(tmp_path: P
         assert done.stderr == words
 
 
-def test_issue_31_31_a_scheduler_that_is_no_address_is_named() -> None:
+def test_a_scheduler_that_is_no_address_is_named() -> None:
     distributed = pytest.importorskip("distributed")
     from jaxstab.cli.options import _client
 

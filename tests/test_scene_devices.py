@@ -377,7 +377,7 @@ def test_hands_of_one_range_are_proved(file: Path) -> None:
 
 
 @pytest.mark.campaign
-def test_item_12_hands_of_several_ranges_are_proved(file: Path) -> None:
+def test_hands_of_several_ranges_are_proved(file: Path) -> None:
     text = TEXT.replace("mass = 0.3", "mass = [0.1, 0.4]").replace("= 100.0", "= [90.0, 110.0]")
     file.write_text(text)
     scene = Scene.from_file(file)

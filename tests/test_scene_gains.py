@@ -110,7 +110,7 @@ def answered(tables: Tables, command: str = "limits") -> Any:
 
 
 @pytest.mark.parametrize("name", TRUTHS)
-def test_54_stable_values_of_a_gain_are_those_of_40_digits(name: str) -> None:
+def test_stable_values_of_a_gain_are_those_of_40_digits(name: str) -> None:
     tables, gain, expected = TRUTHS[name]
     ((at, value),) = tables["wanted"].items()
     row = answered(tables).as_json()[at.replace("at_", "at_given_")]
@@ -208,7 +208,7 @@ RANDOM = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_54_limits_are_stable_as_they_are_printed(kind: str) -> None:
+def test_limits_are_stable_as_they_are_printed(kind: str) -> None:
     """In exact fractions, or numbers of 60 digits: by the recursion of software and device."""
     rng = np.random.default_rng(54)
     for _ in range(8):
@@ -223,7 +223,7 @@ def test_54_limits_are_stable_as_they_are_printed(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["simulator", "admittance"])
-def test_54_no_gains_are_stable_beyond_the_limits(kind: str) -> None:
+def test_no_gains_are_stable_beyond_the_limits(kind: str) -> None:
     rng = np.random.default_rng(55)
     for _ in range(8):
         tables = RANDOM[kind](rng)
@@ -294,7 +294,7 @@ def test_a_region_that_is_not_resolved_leaves_the_intervals_of_each_gain(
     assert radius(0.999 * high) < 1.0 < radius(1.001 * high)
 
 
-def test_54_a_safety_moves_all_limits_to_the_stable_side() -> None:
+def test_a_safety_moves_all_limits_to_the_stable_side() -> None:
     for tables in (loop(JOINT | {"substeps": 4}), loop(ROBOT)):
         plain = answered(tables).as_json()
         careful = answered(tables | {"wanted": {"safety": 0.8}}).as_json()
@@ -305,7 +305,7 @@ def test_54_a_safety_moves_all_limits_to_the_stable_side() -> None:
 
 
 # ------------------------------------------------------------------------- a range of environments
-def test_54_a_range_of_environments_is_proved_for_all_of_it() -> None:
+def test_a_range_of_environments_is_proved_for_all_of_it() -> None:
     """Gains that are called stable are so with each of 25 environments, in exact fractions."""
     rng, seen = np.random.default_rng(56), set()
     for _ in range(12):
@@ -345,7 +345,7 @@ def test_check_says_by_what_both_gains_may_be_multiplied_or_that_none_are_stable
 
 
 @pytest.mark.parametrize("mass", [0.1, 1.0, 1000.0])
-def test_54_a_sample_late_the_least_damping_of_a_range_is_that_of_its_stiffest(mass: float) -> None:
+def test_a_sample_late_the_least_damping_of_a_range_is_that_of_its_stiffest(mass: float) -> None:
     """One sample late it is D > Ke T for every mass (if D < 2 M/T)."""
     table = ROBOT | {"environment": [1.0, 1e4], "delay_samples": 1}
     pairs = {name: {"mass": mass, "damping": d} for name, d in (("on", 10.001), ("off", 9.999))}
@@ -353,7 +353,7 @@ def test_54_a_sample_late_the_least_damping_of_a_range_is_that_of_its_stiffest(m
     assert (found["on"]["verdict"], found["off"]["verdict"]) == ("stable", "unstable")
 
 
-def test_54_limits_of_a_range_of_environments_are_those_of_the_stiffest_one_and_proved() -> None:
+def test_limits_of_a_range_of_environments_are_those_of_the_stiffest_one_and_proved() -> None:
     ranged = answered(loop(ROBOT | {"environment": [10.0, 1e4]})).as_json()
     assert ranged["inputs"]["loop"] == "admittance control against 10 to 10000 N/m"
     stiffest = answered(loop(ROBOT)).as_json()
@@ -384,7 +384,7 @@ def file_of(folder: Path, tables: Tables) -> Path:
 
 
 @pytest.mark.parametrize("kind", first(KINDS, 2))
-def test_54_the_scenes_that_come_along_are_answered(kind: str, tmp_path: Path) -> None:
+def test_the_scenes_that_come_along_are_answered(kind: str, tmp_path: Path) -> None:
     file = FOLDER / f"{kind}.toml"
     scene = any_scene(tomllib.loads(file.read_text(encoding="utf-8")))
     assert isinstance(scene, GainScene)
@@ -403,7 +403,7 @@ def test_54_the_scenes_that_come_along_are_answered(kind: str, tmp_path: Path) -
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_55_a_check_of_stable_gains_has_the_factors_of_each_and_of_both() -> None:
+def test_a_check_of_stable_gains_has_the_factors_of_each_and_of_both() -> None:
     """PD by semi-implicit Euler: kp h^2/J < 4 - 2 kd h/J, 0 < kd h/J < 2."""
     tables = loop(JOINT) | {"gains": {"a": {"kp": 1e4, "kd": 20.0}, "b": {"kp": 1e5, "kd": 20.0}}}
     answers = GainScene.from_table(tables).answer("check").values
@@ -432,7 +432,7 @@ def test_the_least_factor_is_told_where_the_largest_is_as_good_as_unlimited() ->
         assert (np.abs(poles).max() < 1.0) == is_stable
 
 
-def test_54_a_check_has_verdict_radius_and_all_stable_values() -> None:
+def test_a_check_has_verdict_radius_and_all_stable_values() -> None:
     """A device of 25 g, a window of 11: two intervals of kp at this ki, by a recursion as well."""
     controller = {"sample_time": 1e-3, "velocity": {"window_samples": 11}}
     light = {"device": {"mass": 0.025, "damping": 5.0}, "controller": controller}
@@ -465,7 +465,7 @@ def test_54_a_check_has_verdict_radius_and_all_stable_values() -> None:
         ("limits", {"kp": 3334.0, "kd": 10.0}, 1),
     ],
 )
-def test_54_the_exit_code_is_that_of_the_verdicts(
+def test_the_exit_code_is_that_of_the_verdicts(
     command: str, pair: dict[str, float], code: int, tmp_path: Path
 ) -> None:
     """The largest kp is 2 kd/((n - 1) h) = 3333.3."""
@@ -492,7 +492,7 @@ def test_limits_say_in_short_what_is_largest_and_where_each_pair_stands(tmp_path
     assert lines["gains hard"] == f"3334 N m/rad at 10 N m s/rad, outside the {stable}"
 
 
-def test_54_options_replace_what_a_file_says(tmp_path: Path) -> None:
+def test_options_replace_what_a_file_says(tmp_path: Path) -> None:
     file = file_of(tmp_path, loop(JOINT | {"substeps": 10}))
     given = ["--set", "loop.substeps=4", "--set", "wanted.at_kd=10", "--json"]
     limits = json.loads(run("limits", file, *given).stdout)["at_given_kd"]["kp_limits"]
@@ -508,7 +508,7 @@ def test_54_options_replace_what_a_file_says(tmp_path: Path) -> None:
     assert heavy["inputs"]["device"]["mass"] == [0.5, 0.5]
 
 
-def test_54_several_scenes_are_compared(tmp_path: Path) -> None:
+def test_several_scenes_are_compared(tmp_path: Path) -> None:
     files = [FOLDER / f"{kind}.toml" for kind in KINDS]
     done = run("limits", *files, "--csv", "-")
     rows = list(csv.DictReader(done.stdout.splitlines()))
@@ -519,7 +519,7 @@ def test_54_several_scenes_are_compared(tmp_path: Path) -> None:
     assert run("limits", *files, "--plot", tmp_path / "a.png").exit_code == 2
 
 
-def test_54_what_turns_has_units_of_rotation(tmp_path: Path) -> None:
+def test_what_turns_has_units_of_rotation(tmp_path: Path) -> None:
     device = {"device": {"inertia": 0.01, "damping": 0.01}, "controller": DEVICE["controller"]}
     text = run("limits", file_of(tmp_path, pid({"kd": 1.0}, device))).stdout
     assert "N m/rad" in text
@@ -541,7 +541,7 @@ def test_54_what_turns_has_units_of_rotation(tmp_path: Path) -> None:
         2,
     ),
 )
-def test_54_design_gives_the_largest_value_that_allows_a_gain(tables: Tables, name: str) -> None:
+def test_design_gives_the_largest_value_that_allows_a_gain(tables: Tables, name: str) -> None:
     answer = answered(tables, "design").as_json()[name]
     largest, ((gain, goal),) = answer[f"largest_{name}"], tables["wanted"].items()
     section = "controller" if "device" in tables else "loop"
@@ -561,7 +561,7 @@ def test_54_design_gives_the_largest_value_that_allows_a_gain(tables: Tables, na
     assert limit(largest + 1 if is_whole else 1.001 * largest) < 1.0
 
 
-def test_54_the_largest_step_of_a_simulator_is_the_closed_one() -> None:
+def test_the_largest_step_of_a_simulator_is_the_closed_one() -> None:
     """Inside the step kp h^2/J < 4 - 2 kd h/J: at kd = 0 the largest step is 2 (J/kp)^(1/2)."""
     answer = answered(loop(JOINT, kp=1000.0), "design")
     assert answer.as_json()["step"]["largest_step"] == pytest.approx(0.02, rel=1e-6)
@@ -569,7 +569,7 @@ def test_54_the_largest_step_of_a_simulator_is_the_closed_one() -> None:
     assert pair.split() == ["largest", "step", "19.99", "ms"]
 
 
-def test_54_tune_says_where_gains_do_not_move_the_slowest_root() -> None:
+def test_tune_says_where_gains_do_not_move_the_slowest_root() -> None:
     """Of two devices with one b/m it is exp(-T b/m), that of both together, for all gains."""
     coupled, simulated = (
         run("tune", FOLDER / f"{kind}.toml").stdout for kind in ("coupling", "simulator")
@@ -579,7 +579,7 @@ def test_54_tune_says_where_gains_do_not_move_the_slowest_root() -> None:
     assert "slowest root" not in simulated
 
 
-def test_54_tune_finds_the_deadbeat_gains_of_a_simulator() -> None:
+def test_tune_finds_the_deadbeat_gains_of_a_simulator() -> None:
     """z^2 = (z-1)^2 + a z + b (z-1) at a = b = 1: kp = J/h^2, kd = J/h."""
     best = answered(loop(JOINT), "tune").as_json()["least_radius"]
     assert (best["kp"], best["kd"]) == pytest.approx((25000.0, 50.0), rel=1e-3)
@@ -588,7 +588,7 @@ def test_54_tune_finds_the_deadbeat_gains_of_a_simulator() -> None:
 
 
 # ------------------------------------------------------------------------------------------ study
-def test_54_a_study_has_the_limits_and_verdicts_of_its_loops(tmp_path: Path) -> None:
+def test_a_study_has_the_limits_and_verdicts_of_its_loops(tmp_path: Path) -> None:
     file, table = FOLDER / "simulator.toml", tmp_path / "table.csv"
     over = ["--over", "loop.inertia=0.05,0.2", "--over", "loop.substeps=1,4"]
     done = run("study", file, *over, "--csv", table, "--answer", "limits", "--answer", "verdict")
@@ -606,7 +606,7 @@ def test_54_a_study_has_the_limits_and_verdicts_of_its_loops(tmp_path: Path) -> 
         assert row["verdict"] == answer["gains"][row["gains"]]["verdict"]
 
 
-def test_54_a_study_draws_environments_from_a_range() -> None:
+def test_a_study_draws_environments_from_a_range() -> None:
     tables = loop(ROBOT | {"environment": [1e3, 1e4]})
     tables["gains"] = {"own": {"mass": 2.0, "damping": 30.0}}
     study = jaxstab.study(tables, {"loop.delay_samples": [2, 4]}, samples=20)
@@ -678,9 +678,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("tables", "words"), REFUSED, ids=lambda value: str(value)[-40:])
-def test_54_what_is_wrong_is_said_in_one_sentence(
-    tables: Tables, words: str, tmp_path: Path
-) -> None:
+def test_what_is_wrong_is_said_in_one_sentence(tables: Tables, words: str, tmp_path: Path) -> None:
     done = run("limits", file_of(tmp_path, tables))
     assert done.exit_code == 2
     assert done.stdout == ""
@@ -710,7 +708,7 @@ def test_an_option_that_is_not_of_the_loop_is_named(given: list[str], tmp_path: 
     ],
     ids=" ".join,
 )
-def test_54_commands_for_walls_refuse_and_name_what_serves(
+def test_commands_for_walls_refuse_and_name_what_serves(
     command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -721,7 +719,7 @@ def test_54_commands_for_walls_refuse_and_name_what_serves(
     assert not list(tmp_path.iterdir())
 
 
-def test_54_other_answers_say_what_they_need(tmp_path: Path) -> None:
+def test_other_answers_say_what_they_need(tmp_path: Path) -> None:
     file = file_of(tmp_path, loop(JOINT))
     assert "[gains.NAME] with kp and kd" in run("check", file).stderr
     assert "wanted has 0 of kp and kd" in run("design", file).stderr

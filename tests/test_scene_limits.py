@@ -322,7 +322,7 @@ def radius_without_damping(stiffness: float) -> float:
 
 
 def test_all_intervals_of_stable_stiffness_are_named_small_gains_first() -> None:
-    """Issue 51, 3: the far one was printed alone, and unstable walls lie before it."""
+    """Unstable walls lie before the far one, so it is not printed alone."""
     scene = Scene.from_table(TWO_INTERVALS | {"wanted": {"at_damping": 0.0}})
     answer = scene_limits(scene)
     said = brief(answer)

@@ -221,7 +221,7 @@ class TestSettling:
         with pytest.raises((ValueError, TypeError), match=message):
             jaxstab.settling_samples(0.1, 0.3, gamma=0.0, delta=0.0, delay=0, **options)
 
-    def test_item_11_of_walls_behind_a_butterworth_filter_at_10_khz_is_proved(self) -> None:
+    def test_of_walls_behind_a_butterworth_filter_at_10_khz_is_proved(self) -> None:
         """None of them was; one of them against scipy's sections, run sample by sample."""
         loop = HapticLoop(
             device_mass=2.0,

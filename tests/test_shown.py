@@ -260,7 +260,7 @@ def _estimators() -> list[jaxstab.Velocity]:
     ],
     ids=str,
 )
-def test_issue_31_22_a_loop_prints_the_call_that_makes_it(loop: jaxstab.HapticLoop) -> None:
+def test_a_loop_prints_the_call_that_makes_it(loop: jaxstab.HapticLoop) -> None:
     names = {name: getattr(jaxstab, name) for name in ("HapticLoop", "Device", "Hand", "Mode")}
     names |= {"Velocity": jaxstab.Velocity, "Filter": jaxstab.Filter}
     assert eval(repr(loop), names) == loop
@@ -268,22 +268,20 @@ def test_issue_31_22_a_loop_prints_the_call_that_makes_it(loop: jaxstab.HapticLo
     assert "sections" not in repr(loop)
 
 
-def test_issue_31_22_a_loop_that_jax_traces_prints_its_tracers() -> None:
+def test_a_loop_that_jax_traces_prints_its_tracers() -> None:
     printed = []
     jax.jit(lambda loop: printed.append(repr(loop)))(PLAIN)
     assert "device_mass=" in printed[0]
 
 
-def test_issue_31_22_completion_of_a_loop_shows_questions() -> None:
+def test_completion_of_a_loop_shows_questions() -> None:
     names = dir(WINDOW)
     assert {"verdict", "limits", "plot", "device_mass", "alpha"} <= set(names)
     assert not {"tree_flatten", "tree_unflatten", "in_floats", "sampled", "linear"} & set(names)
 
 
 @pytest.mark.parametrize(("wall", "code"), [((1000.0, 10.0), "STABLE"), ((1e6, 10.0), "UNSTABLE")])
-def test_issue_31_22_the_code_of_one_wall_prints_its_name(
-    wall: tuple[float, float], code: str
-) -> None:
+def test_the_code_of_one_wall_prints_its_name(wall: tuple[float, float], code: str) -> None:
     for loop in (PLAIN, WINDOW, jaxstab.HapticLoop(sample_time=1e-3, device=_devices()[2])):
         verdict = loop.verdict(*wall)
         expected = jaxstab.Verdict[code]
@@ -309,7 +307,7 @@ def test_issue_31_22_the_code_of_one_wall_prints_its_name(
     assert repr(many) == f"array([{int(expected)}], dtype=int8)"
 
 
-def test_issue_31_22_settling_times_print_in_ms_and_samples() -> None:
+def test_settling_times_print_in_ms_and_samples() -> None:
     settled = WINDOW.settling_time(1000.0, 10.0)
     assert repr(settled) == f"Settling: {1e3 * settled.value:g} ms (settled)"
     samples = jaxstab.settling_samples(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0)
@@ -322,7 +320,7 @@ def test_issue_31_22_settling_times_print_in_ms_and_samples() -> None:
     assert repr(many) == f"Settling of 3 loops: {low:g} to {high:g} ms (2 settled, 1 unstable)"
 
 
-def test_issue_31_22_amplitudes_print_with_units_rounded_up() -> None:
+def test_amplitudes_print_with_units_rounded_up() -> None:
     found = WINDOW.amplitude(1000.0, 10.0, encoder=1e-5)
     shown = re.fullmatch(
         r"Amplitude: position (\S+) um, velocity (\S+) mm/s, force (\S+) N, "
@@ -342,7 +340,7 @@ def test_issue_31_22_amplitudes_print_with_units_rounded_up() -> None:
     assert "um" not in repr(plain)
 
 
-def test_issue_31_22_a_response_prints_one_line() -> None:
+def test_a_response_prints_one_line() -> None:
     response = WINDOW.simulate([1000.0, 500.0], 10.0, samples=50, force=1.0)
     shown = repr(response)
     assert shown.startswith("Response of 2 loops at 50 times: 0 to 49 ms, position 0 to ")
@@ -350,7 +348,7 @@ def test_issue_31_22_a_response_prints_one_line() -> None:
     assert "\n" not in shown
 
 
-def test_issue_31_22_limits_print_as_a_region_does() -> None:
+def test_limits_print_as_a_region_does() -> None:
     limits, region = WINDOW.limits(), WINDOW.region()
     assert repr(limits).splitlines()[1:] == repr(region).splitlines()[1:]
     assert repr(limits).startswith("WallLimits: ")

@@ -736,7 +736,7 @@ def test_the_command_says_the_plan_the_quantiles_and_the_shares(desk: Path) -> N
     assert table.read_text() == "mine"
 
 
-def test_51_13_the_plan_counts_what_it_was_given_and_draws_what_takes_a_minute() -> None:
+def test_the_plan_counts_what_it_was_given_and_draws_what_takes_a_minute() -> None:
     over = {"device.mass": [0.1, 0.2], "hand.stiffness": "uniform:100:300"}
     for modes, answers, samples, words in (
         ([], ["verdict"], 10_000, "2 device_mass x 10000 sample x 2 wall: 20,000 loops, about 1 s"),
@@ -773,7 +773,7 @@ def test_51_13_the_plan_counts_what_it_was_given_and_draws_what_takes_a_minute()
         ("controller.sample_time=1e20,1", "damping T/mass of device and hand is"),
     ],
 )
-def test_51_14_values_that_overflow_are_refused_in_one_sentence(
+def test_values_that_overflow_are_refused_in_one_sentence(
     over: str, words: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "bare.toml"
@@ -784,12 +784,12 @@ def test_51_14_values_that_overflow_are_refused_in_one_sentence(
     assert words in done.stderr
 
 
-def test_51_ends_too_far_apart_are_refused_from_python() -> None:
+def test_ends_too_far_apart_are_refused_from_python() -> None:
     with pytest.raises(ValueError, match=r"delay is .*give LOW:HIGH:COUNT"):
         jaxstab.study(LOOP, {"delay": (-1e308, 1e308, 3)})
 
 
-def test_51_a_study_that_another_one_finished_meanwhile_is_kept(
+def test_a_study_that_another_one_finished_meanwhile_is_kept(
     desk: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two studies begin at the same time and write the same file: both end, and one says so."""

@@ -219,7 +219,7 @@ class TestTune:
         assert given.stiffness == pytest.approx(500.0, rel=1e-14)
         assert calm.radius < given.radius < 1.0
 
-    def test_51_18_the_edges_belong_to_the_search(self) -> None:
+    def test_the_edges_belong_to_the_search(self) -> None:
         """A damper is calmest: the radius at K = 0 is 0.8145, and 0.8160 close to it."""
         period = 2.0**-10
         loop = jaxstab.HapticLoop(
@@ -245,6 +245,6 @@ class TestTune:
         assert most < 100e6  # it was 149 MB
 
     @pytest.mark.campaign
-    def test_51_18_other_searches_find_no_more_than_the_status_says(self) -> None:
+    def test_other_searches_find_no_more_than_the_status_says(self) -> None:
         rng = np.random.default_rng([20120412, 1])
         assert max(better_wall(ordinary_loop(rng), rng) for _ in range(many(1000, 40))) < MOST_FOUND

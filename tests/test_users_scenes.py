@@ -85,19 +85,19 @@ USERS = {
     "servo": User(inertia(1e-3, 2e-3, **SERVO), MS, 1.0, low_pass(100.0), (5.0, 0.08), True),
     "arm at 500 Hz": User(inertia(2.0, 0.5), 2e-3, 2.0, low_pass(30.0), (2000.0, 60.0), True),
     "leg": User(inertia(0.00486, 0.02), MS, 1.0, low_pass(100.0), (20.0, 0.5), True),
-    # Issue 51, by the number of its item.
-    "1, light": User(mass(0.08, 0.05), 2.5e-4, 2.0, BUTTERWORTH, (4000.0, 12.0), True),
-    "1, held": User(mass(0.08, 0.05), 2.5e-4, 2.0, BUTTERWORTH, (4000.0, 12.0), True, HELD),
-    "1, turned": User(
+    # Light, turned, fast or hardly damped.
+    "light": User(mass(0.08, 0.05), 2.5e-4, 2.0, BUTTERWORTH, (4000.0, 12.0), True),
+    "light, held": User(mass(0.08, 0.05), 2.5e-4, 2.0, BUTTERWORTH, (4000.0, 12.0), True, HELD),
+    "turned": User(
         inertia(0.02, 0.02), MS, 2.0, {"window": 5e-3}, (300.0, 2.0), True, {"stiffness": 20.0}
     ),
-    "3, a mode": User(STAGE, 2.5e-5, 1.0, window(1), (20000.0, 0.0), False),
-    "11, a mode": User(STAGE, 2.5e-5, 1.0, low_pass(500.0), (5000.0, 24.0), True),
-    "16, damped": User(mass(0.05, 5.0), MS, 0.0, window(20), (1000.0, 10.0), True),
-    "16, held": User(
+    "a mode at 40 kHz": User(STAGE, 2.5e-5, 1.0, window(1), (20000.0, 0.0), False),
+    "a mode at 40 kHz, smoothed": User(STAGE, 2.5e-5, 1.0, low_pass(500.0), (5000.0, 24.0), True),
+    "damped": User(mass(0.05, 5.0), MS, 0.0, window(20), (1000.0, 10.0), True),
+    "held, smoothed": User(
         mass(0.025, 0.16), MS, 0.0, window(1), (200.0, 2.0), True, {"stiffness": 1300.0}, window(5)
     ),
-    "18": User(
+    "heavy and damped": User(
         mass(1.0, 77.391), 2.0**-10, 0.87, window(4), (0.0, 97.0), True, {"stiffness": 14114.8}
     ),
 }
@@ -280,7 +280,7 @@ def test_the_commands_give_the_limit_and_the_verdict_of_the_judge(
     assert ("unstable" in check.stdout) == (not user.is_stable)
 
 
-def test_51_10_a_crank_of_a_simulator_has_the_limit_of_the_exact_hold() -> None:
+def test_a_crank_of_a_simulator_has_the_limit_of_the_exact_hold() -> None:
     """12 - 8 sqrt(2) times J/T^2; a semi-implicit Euler step of the same gains allows 3.55."""
     user = USERS["crank at 5 ms"]
     limit = loop_of(Scene.from_table(user.tables)).limits().stiffness
@@ -298,9 +298,9 @@ def test_51_10_a_crank_of_a_simulator_has_the_limit_of_the_exact_hold() -> None:
         ),
     ],
 )
-def test_51_11_slow_loops_of_a_device_with_a_mode_are_resolved(samples: float) -> None:
+def test_slow_loops_of_a_device_with_a_mode_are_resolved(samples: float) -> None:
     """So close to a corner rounding decides which roots are inside: no piece ends where it does."""
-    name = "11, a mode"
+    name = "a mode at 40 kHz, smoothed"
     tables = USERS[name].tables
     tables["controller"]["delay_samples"] = samples
     limits = loop_of(Scene.from_table(tables)).limits()
@@ -308,8 +308,8 @@ def test_51_11_slow_loops_of_a_device_with_a_mode_are_resolved(samples: float) -
 
 
 @pytest.mark.campaign
-def test_51_11_design_answers_at_40_khz_with_a_slow_filter() -> None:
-    name, wanted = "11, a mode", 9000.0
+def test_design_answers_at_40_khz_with_a_slow_filter() -> None:
+    name, wanted = "a mode at 40 kHz, smoothed", 9000.0
     designed = design_loop(
         Scene.from_table({**USERS[name].tables, "wanted": {"stiffness": wanted}})
     )

@@ -113,7 +113,7 @@ def test_the_undamped_free_device_without_delay_has_the_known_stable_set(
 @pytest.mark.parametrize("resolve", [None, "exact"])
 @pytest.mark.parametrize("filters", [{}, {"velocity": Velocity.difference(samples=4)}])
 def test_a_root_at_one_is_not_inside(resolve: str | None, filters: dict[str, Any]) -> None:
-    """p(1) is (alpha + gamma) N(1), exactly 0 on this line; Issue 51, 15."""
+    """p(1) is (alpha + gamma) N(1), exactly 0 on this line."""
     loop = {"gamma": 1e-3, "delta": 0.015, "delay": DELAY_OF_MANY[:, None]}
     codes = verdict(-1e-3, np.linspace(0.1, 0.5, 9), **loop, resolve=resolve, **filters)
     assert np.all(codes == Verdict.UNSTABLE)

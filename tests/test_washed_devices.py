@@ -83,14 +83,12 @@ SHAKING = {"device": Device.modes([Mode(frequency=80.0, damping_ratio=0.01, moda
 def test_filters_without_a_region_are_refused_in_a_sentence(
     ask: Any, filters: dict[str, Any], reason: str, body: dict[str, Any]
 ) -> None:
-    """Issue 31, 5: ZeroDivisionError."""
     with pytest.raises(ValueError, match=reason) as caught:
         ask(HapticLoop(**body, **filters, sample_time=1e-3, delay=1e-3))
     assert "\n" not in str(caught.value)
 
 
 def test_a_factor_that_float64_loses_is_refused() -> None:
-    """Issue 31, 5: ``region`` with ``Velocity.exponential(1e-200)`` divided by 0."""
     for make in (Velocity.exponential, Filter.exponential):
         with pytest.raises(ValueError, match="factor is 1e-200"):
             make(1e-200)
