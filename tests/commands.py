@@ -1,10 +1,14 @@
 """Commands, run as a user runs them, and what is expected of every failure."""
 
 import os
+import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import pytest
 from click.testing import CliRunner, Result
 
 from jaxstab.cli.main import main
@@ -39,7 +43,16 @@ def run_code(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-def assert_one_sentence(stderr: str) -> None:
+def assert_one_sentence(stderr: str, *parts: str | Path) -> None:
+    """A refusal on stderr, with the name, the value and what is allowed in it."""
     assert stderr.startswith("jaxstab: ")
     assert stderr.count("\n") == 1
     assert "Traceback" not in stderr
+    assert [part for part in map(str, parts) if part not in stderr] == []
+
+
+def assert_refuses(call: Callable[[], Any], *parts: str) -> None:
+    """The same of a ValueError."""
+    with pytest.raises(ValueError, match=re.escape(parts[0])) as refused:
+        call()
+    assert_one_sentence(f"jaxstab: {refused.value}\n", *parts)

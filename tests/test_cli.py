@@ -341,7 +341,5 @@ def test_stdin_is_not_replaced_either(tmp_path: Path) -> None:
     with scene.open() as stdin:
         done = subprocess.run(command, stdin=stdin, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert (
-        done.stderr == f"jaxstab: --csv is {scene}, which this command reads; give another name.\n"
-    )
+    assert_one_sentence(done.stderr, "--csv", scene)
     assert scene.read_text() == EXAMPLE

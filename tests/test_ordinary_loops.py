@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from campaign import many
-from counts import note
 from march import (
     Plant,
     Taps,
@@ -175,7 +174,6 @@ def test_settling_is_proved_of_nearly_all_and_is_that_of_simulations(
             expected, distance = settled_in_simulation(one, excitation, 2 * count + 100)
             assert count == expected or distance < NEAR, (number, excitation)
             simulated += 1
-    note("ordinary loops, settling", walls=2 * len(loops), unknown=unknown, simulated=simulated)
     assert unknown <= MOST * 2 * len(loops)
     assert simulated > len(loops) / EACH
 
@@ -186,7 +184,6 @@ def test_margins_are_given_for_nearly_all(loops: list[Ordinary]) -> None:
         found = one.loop.margins(*one.wall)
         spare = found.stiffness_gain, found.damping_gain, found.extra_delay
         unknown += bool(np.isnan(spare).any())
-    note("ordinary loops, margins", walls=len(loops), unknown=unknown)
     assert unknown <= MOST_OTHERS * len(loops)
 
 
@@ -202,6 +199,5 @@ def test_hands_of_a_range_are_decided_for_nearly_all(loops: list[Ordinary]) -> N
         found = one.loop.worst_hand(hands, *one.wall)
         unknown += found.verdict == Verdict.UNDECIDED
         asked += 1
-    note("ordinary loops, hands", ranges=asked, unknown=unknown)
     assert asked > 0.2 * len(loops)
     assert unknown <= MOST_OTHERS * asked

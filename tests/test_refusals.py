@@ -64,7 +64,7 @@ def test_a_toml_file_of_100_mb_is_refused_unread(tmp_path: Path) -> None:
         stream.truncate(100_000_000)
     done = run("limits", file)
     assert done.exit_code == 2
-    assert done.stderr == f"jaxstab: {file} has more than 4 MB; give a smaller file.\n"
+    assert_one_sentence(done.stderr, file, "4 MB")
     comments = "#\n" * ((MOST_BYTES - len(scene_text()) - 1) // 2)
     file.write_text(f"{scene_text()}\n{comments}")
     assert run("limits", file).exit_code == 0
@@ -285,7 +285,7 @@ def test_stdout_that_is_full_is_named() -> None:
             check=False,
         )
         assert done.returncode in (1, 2)
-        assert done.stderr == "jaxstab: cannot write stdout: No space left on device.\n"
+        assert_one_sentence(done.stderr, "stdout", "No space left on device")
 
 
 @pytest.mark.campaign
@@ -312,10 +312,9 @@ def test_names_reach_a_stdout_of_ascii(tmp_path: Path) -> None:
 def test_a_file_that_is_not_utf_8_is_named_with_its_line(tmp_path: Path) -> None:
     file = tmp_path / "bad.toml"
     file.write_bytes(b"# a\n# \xff\n")
-    words = f"jaxstab: {file}: line 2 is not UTF-8 text; save the file as UTF-8.\n"
     for done in (run("limits", file), run("atlas", "build", "--spec", file)):
         assert done.exit_code in (1, 2)
-        assert done.stderr == words
+        assert_one_sentence(done.stderr, file, "line 2", "UTF-8")
 
 
 def test_a_scheduler_that_is_no_address_is_named() -> None:
@@ -462,7 +461,7 @@ def test_what_is_of_another_kind_is_refused_by_its_name(tmp_path: Path) -> None:
             "walls is 3; give (K, B) by the name of each wall.",
             "wall soft is 3; give its K and B.",
             "spec is 3; give a jaxstab.AtlasSpec.",
-            *["loop is 3; give a jaxstab.HapticLoop."] * 4,
+            *["loop is 3; give a jaxstab.HapticLoop."] * 3,
             "mass is 0.2; give its lowest and its highest value.",
             "cells are 4; give three numbers: along mass, delay and damping.",
             "cells is 1.5; give a whole number.",
