@@ -148,8 +148,9 @@ class Loop(TwoGains):
     ``jaxstab.coupling`` (a spring and a damper between two devices). A wall on a held device is
     ``jaxstab.HapticLoop``. Gains are given by their names.
 
-    Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) is affine in alpha and beta; all that
-    follows from that holds for any two gains. Lemmas E1 to E3 of docs/proofs.md.
+    Source, of all methods: eq. (9) of Hulin, Preusche, Hirzinger (2008) is affine in alpha and
+    beta; all that follows from that, as its D-decomposition, holds for any two gains. Lemmas E1 to
+    E3 of docs/proofs.md.
 
     Attributes:
         gains: names, units, and whether the largest or the least value is looked for.
@@ -203,8 +204,6 @@ class Loop(TwoGains):
 
         Raises: TypeError for what is not a number, ValueError for one that is not finite, parts
         without any coefficient but 0, and names that are not two different identifiers.
-
-        Source: eq. (9), likewise.
 
         Example:
             >>> double = jaxstab.Loop.from_coefficients(
@@ -284,7 +283,7 @@ class Loop(TwoGains):
 
         Raises: as ``verdict``; ValueError also for what is no number of the loop.
 
-        Source: eq. (9), likewise; lemma E1 of docs/proofs.md.
+        Source: lemma E1 of docs/proofs.md.
 
         Example:
             >>> loop = jaxstab.simulated_pd(0.1, step=2e-3)
@@ -308,8 +307,6 @@ class Loop(TwoGains):
 
         Raises: ValueError for a tolerance below 1e-10, and for gains that act alike.
 
-        Source: the D-decomposition of eq. (9), likewise.
-
         Example:
             >>> jaxstab.simulated_pd(0.1, step=2e-3).region()
             GainRegion (kp, kd): the boundary closes to loops
@@ -326,7 +323,7 @@ class Loop(TwoGains):
         They are read off the region: it is not proved that no stable gains were missed beyond.
         Printed, largest values are rounded down and least ones up.
 
-        Raises: as ``region``. Source: the D-decomposition of eq. (9), likewise.
+        Raises: as ``region``.
 
         Example:
             >>> jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4).limits()
@@ -450,8 +447,6 @@ class Loop(TwoGains):
 
         Raises: as ``verdict``; ValueError also if there is no sample.
 
-        Source: eq. (9), likewise.
-
         Example:
             >>> loop = jaxstab.simulated_pd(0.1, step=2e-3)
             >>> loop.simulate(samples=4, kp=1000.0, kd=20.0).round(4).tolist()
@@ -482,7 +477,7 @@ class Loop(TwoGains):
 
         Raises: as ``verdict``; TypeError for JAX arrays.
 
-        Source: eq. (9), likewise; lemma E4 of docs/proofs.md.
+        Source: lemma E4 of docs/proofs.md.
 
         Example:
             >>> loop = jaxstab.simulated_pd(0.1, step=2e-3)

@@ -89,7 +89,7 @@ class TwoGains:
         Args and Raises: see ``jaxstab.conventions``; a wall goes by place, other gains by their
         names. Bound and status: see ``jaxstab.spectral_radius``.
 
-        Source: the roots of eq. (9); lemma E2 of docs/proofs.md.
+        Source: lemma E2 of docs/proofs.md.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -114,7 +114,7 @@ class TwoGains:
         Those of few gains are proved to all digits unless some of them coincide; all others are as
         accurate as those of ``jaxstab.closed_loop_poles``.
 
-        Args and Raises: as ``spectral_radius``. Source: the roots of eq. (9), likewise.
+        Args and Raises: as ``spectral_radius``.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -155,10 +155,9 @@ class TwoGains:
         Without stiffness a device that nothing holds keeps a root at 1 (``drift``): the intervals
         are those in which all others are stable.
 
-        Raises: see ``jaxstab.conventions``; TypeError also unless one gain is given, for an array,
-        and if JAX traces the loop.
+        Raises: TypeError also unless one gain is given, for an array, and if JAX traces the loop.
 
-        Source: the D-decomposition of eq. (9); lemma E3 of docs/proofs.md.
+        Source: lemma E3 of docs/proofs.md.
 
         Example:
             >>> loop = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
@@ -182,7 +181,7 @@ class TwoGains:
         It is the ``outline`` of ``region`` in the gains themselves: NaN or infinite where these
         are, as an admittance's endless mass.
 
-        Args and Raises: as ``region``. Source: the D-decomposition of eq. (9).
+        Args and Raises: as ``region``.
 
         Example:
             >>> robot = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
@@ -204,8 +203,7 @@ class TwoGains:
         Returns:
             FrequencyMargins, each with the bound of its error and its frequency in Hz.
 
-        Source: the open loop of eq. (9) on the unit circle, by the criterion of Nyquist; lemma E5
-        of docs/proofs.md.
+        Source: the criterion of Nyquist; lemma E5 of docs/proofs.md.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)

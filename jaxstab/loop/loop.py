@@ -75,7 +75,9 @@ class HapticLoop(LoopParameters, TwoGains):
     then put other hands in place of these. Regions, limits, tuning and motions need a device that
     moves under a constant force: one with zero DC gain, G(0) = 0, raises ValueError.
 
-    Source: eqs. (1) and (12), Table I of Hulin, Preusche, Hirzinger (2008), as in all methods.
+    Source, of all methods: eqs. (1)-(5), (9) and (12), Table I of Hulin, Preusche, Hirzinger
+    (2008); all walls by the D-decomposition. Methods say what they add to it, and what they refuse
+    beside the errors of ``jaxstab.conventions``.
 
     Args:
         sample_time: sampling period T in s, > 0.
@@ -129,11 +131,9 @@ class HapticLoop(LoopParameters, TwoGains):
         Returns:
             WallRegion of NumPy arrays, with its status.
 
-        Raises: see ``jaxstab.conventions``; ValueError also for a delay longer than 500 samples and
-        for a device with zero DC gain: the boundary is computed from 1/G(0) on. TypeError if JAX
-        traces the loop; ``limits`` and ``jaxstab.regions_of`` take it.
-
-        Source: eq. (9) by the D-decomposition; see ``jaxstab.stable_region``.
+        Raises: ValueError also for a delay longer than 500 samples and for a device with zero DC
+        gain: the boundary is computed from 1/G(0) on. TypeError if JAX traces the loop; ``limits``
+        and ``jaxstab.regions_of`` take it.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -168,7 +168,7 @@ class HapticLoop(LoopParameters, TwoGains):
 
         Raises: as ``region`` and ``verdict``.
 
-        Source: eq. (9) by the D-decomposition; lemma J1 of docs/proofs.md for delays that move.
+        Source: lemma J1 of docs/proofs.md for delays that move.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -197,10 +197,6 @@ class HapticLoop(LoopParameters, TwoGains):
             several intervals it is the one that extends farthest. JAX arrays and tracers give
             differentiable JAX arrays.
 
-        Raises: see ``jaxstab.conventions``.
-
-        Source: eq. (9) by the D-decomposition.
-
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
             >>> loop.stiffness_limits(20.0).round(1).tolist()
@@ -213,8 +209,6 @@ class HapticLoop(LoopParameters, TwoGains):
         """The smallest and the largest stable damping at given stiffnesses in N/m, any shape.
 
         Array (*grid, 2) in N s/m, otherwise as for ``stiffness_limits``.
-
-        Raises: see ``jaxstab.conventions``. Source: eq. (9) by the D-decomposition.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -236,9 +230,9 @@ class HapticLoop(LoopParameters, TwoGains):
 
         Each end has a bound of its error and the angle of the root that crosses the circle there.
 
-        Raises: see ``jaxstab.conventions``; TypeError also for arrays, and if JAX traces the loop.
+        Raises: TypeError also for arrays, and if JAX traces the loop.
 
-        Source: eq. (9) by the D-decomposition; lemma E3 of docs/proofs.md.
+        Source: lemma E3 of docs/proofs.md.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -254,7 +248,7 @@ class HapticLoop(LoopParameters, TwoGains):
         Without stiffness a device that nothing holds keeps a root at 1 (``drift``): the intervals
         are those in which all others are stable.
 
-        Raises: as ``stiffness_intervals``. Source: eq. (9), likewise.
+        Raises: as ``stiffness_intervals``.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -290,9 +284,9 @@ class HapticLoop(LoopParameters, TwoGains):
             between: the lowest and the highest value to try; None chooses them.
             count: the number of values to try; None for 500, or 5,000 where they are tried at once.
 
-        Raises: see ``jaxstab.conventions``; ValueError also for a quantity the loop does not have.
+        Raises: ValueError also for a quantity the loop does not have.
 
-        Source: eq. (9); lemma E1 of docs/proofs.md.
+        Source: lemma E1 of docs/proofs.md.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -317,8 +311,6 @@ class HapticLoop(LoopParameters, TwoGains):
             another one is outside do not count. It is -inf where no wall is stable and NaN if the
             loop's region is UNRESOLVED. JAX arrays and tracers of gains give JAX arrays,
             differentiable once in the gains.
-
-        Source: eq. (9) by the D-decomposition.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -367,10 +359,9 @@ class HapticLoop(LoopParameters, TwoGains):
             bound, settling time in s (infinite without a stable wall), a TuningStatus, and a proved
             bound in m of the motion that the encoder causes.
 
-        Raises: see ``jaxstab.conventions``; ValueError also for an unknown word. All are single
-        numbers.
+        Raises: ValueError also for an unknown word. All are single numbers.
 
-        Source: eq. (9); settling as in later papers of the same authors.
+        Source: settling as in later papers of the same authors.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -410,8 +401,8 @@ class HapticLoop(LoopParameters, TwoGains):
             ``device`` is proved if a mass is at its handle, a grip has a spring, and grip or hand a
             damper.
 
-        Raises: see ``jaxstab.conventions``; ValueError also if a range is out of order, or a
-        ``device`` has several hands, or no mass that could vary.
+        Raises: ValueError also if a range is out of order, or a ``device`` has several hands, or no
+        mass that could vary.
 
         Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemmas B20 and J3 of
         docs/proofs.md.
@@ -493,8 +484,8 @@ class HapticLoop(LoopParameters, TwoGains):
             for its dimensionless numbers, which carry a few roundings. The int8 of one wall prints
             its name.
 
-        Raises: see ``jaxstab.conventions``; ValueError also for an unknown ``resolve``, a range of
-        delays that is out of order or too long; TypeError if JAX traces a loop with ``delays``.
+        Raises: ValueError also for an unknown ``resolve``, a range of delays that is out of order
+        or too long; TypeError if JAX traces a loop with ``delays``.
 
         Source: Schur-Cohn criterion (Jury 1964) for eq. (9) of Hulin, Preusche, Hirzinger (2008);
         the small-gain theorem (Kao, Lincoln 2004) for delays that move: lemmas J1 and V10
@@ -519,7 +510,7 @@ class HapticLoop(LoopParameters, TwoGains):
         """The changes of stiffness, damping and delay, each alone, up to the loss of stability.
 
         Args and Raises: see ``jaxstab.conventions``; TypeError also if JAX traces gains and the
-        device is not one mass. Source: eq. (9) on the unit circle.
+        device is not one mass.
 
         Returns:
             Margins in N/m, N s/m and s, all proved; see ``jaxstab.margins``, for JAX too.
@@ -557,8 +548,8 @@ class HapticLoop(LoopParameters, TwoGains):
             hands: a range of hands, in place of the hand of the loop: for every one of them.
             mass: with ``hands``, as for ``worst_hand``.
 
-        Raises: see ``jaxstab.conventions``; TypeError also if JAX traces the loop, or for a mass
-        without hands; with hands as ``worst_hand``.
+        Raises: TypeError also if JAX traces the loop, or for a mass without hands; with hands as
+        ``worst_hand``.
 
         Returns:
             The margins in s; 0 where nothing is proved, infinite without a wall on a stable device.
@@ -625,9 +616,9 @@ class HapticLoop(LoopParameters, TwoGains):
         Returns:
             Settling with ``value`` in s and ``status``, a SettlingStatus.
 
-        Raises: see ``jaxstab.conventions``; filters and the horizon must be concrete.
+        Filters and the horizon must be concrete.
 
-        Source: the loop of eqs. (1)-(5), Table I; lemma E4 of docs/proofs.md.
+        Source: lemma E4 of docs/proofs.md.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -670,8 +661,7 @@ class HapticLoop(LoopParameters, TwoGains):
             Amplitude in m, m/s and N; infinite where nothing is proved, as at the boundary of
             stability and beyond it.
 
-        Raises: see ``jaxstab.conventions``; ValueError also if nothing disturbs the loop. Filters
-        must be concrete.
+        Raises: ValueError also if nothing disturbs the loop. Filters must be concrete.
 
         Source: the l1 norm of a linear system (Vidyasagar 1986) for the loop of eqs. (1)-(5);
         lemmas E4 and M9 of docs/proofs.md.
@@ -738,8 +728,8 @@ class HapticLoop(LoopParameters, TwoGains):
             Response at samples * (between + 1) times; exact up to rounding at each of them, and
             differentiable in all arrays.
 
-        Raises: see ``jaxstab.conventions``; ValueError also if nothing moves the device, a count is
-        too small, or a blow cannot set the device in motion.
+        Raises: ValueError also if nothing moves the device, a count is too small, or a blow cannot
+        set the device in motion.
 
         Source: eqs. (1)-(5) and Fig. 2 of Hulin, Preusche, Hirzinger (2008); Remark 1.
 
@@ -821,9 +811,9 @@ class HapticLoop(LoopParameters, TwoGains):
         Returns:
             Contact of NumPy arrays of the broadcast shape: the end of each run, and its path.
 
-        Raises: see ``jaxstab.conventions``; TypeError also if JAX traces anything. ValueError also
-        if nothing moves, a push meets neither wall nor hand stiffness, static friction is below
-        Coulomb friction, or no mass is at the device's handle.
+        Raises: TypeError also if JAX traces anything. ValueError also if nothing moves, a push
+        meets neither wall nor hand stiffness, static friction is below Coulomb friction, or no mass
+        is at the device's handle.
 
         Source: eqs. (1)-(5) of Hulin, Preusche, Hirzinger (2008), with Coulomb friction.
 

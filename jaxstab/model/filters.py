@@ -490,6 +490,8 @@ class Filter:
     ``transfer_function``; ``*`` chains filters. All have gain 1 at z = 1, except a transfer
     function, whose gain follows from its coefficients.
 
+    Raises, of all methods: see ``jaxstab.conventions``; they say what they refuse beside it.
+
     Example:
         >>> str(jaxstab.Filter.low_pass(100.0) * jaxstab.Filter.average(samples=4))
         'a low pass at 100 Hz of order 1, a window of 4 samples'
@@ -511,8 +513,8 @@ class Filter:
             samples: n, from 1 to 200.
             window: n times the sampling period, in s, in place of ``samples``.
 
-        Raises: see ``jaxstab.conventions``; TypeError also if not exactly one is given. A window
-        that is not a whole number of samples is refused where the sampling period is known.
+        Raises: TypeError also if not exactly one is given. A window that is not a whole number of
+        samples is refused where the sampling period is known.
         """
         if (samples is None) == (window is None):
             raise TypeError("give samples or window, and not both.")
@@ -528,8 +530,6 @@ class Filter:
 
         The cut-off f is in Hz; there are from 1 to 40 of them. q is rounded to float64, as it is in
         the software that runs the filter; proofs and error bounds are for this q.
-
-        Raises: see ``jaxstab.conventions``.
         """
         order = checked_count("order", order, 1, HIGHEST_ORDER)
         return cls((LowPass(_positive("cutoff", cutoff), order),))
@@ -540,8 +540,7 @@ class Filter:
 
         The cut-off is in Hz, below half of the sampling rate, the order from 1 to 40.
 
-        Raises: see ``jaxstab.conventions``; ValueError also for a cut-off above half of the
-        sampling rate, where that is known.
+        Raises: ValueError also for a cut-off above half of the sampling rate, where that is known.
 
         Source: Butterworth (1930); the transfer function is that of ``scipy.signal.butter``.
         """
@@ -553,8 +552,6 @@ class Filter:
         """Exponential smoothing: y_k = y_(k-1) + factor (x_k - y_(k-1)).
 
         The factor is in [2^-53, 1], so that 1 - factor is below 1 in float64; 1 filters nothing.
-
-        Raises: see ``jaxstab.conventions``.
         """
         return cls((Exponential(_positive("factor", factor, 2.0**-53, 1.0)),))
 
@@ -568,8 +565,8 @@ class Filter:
             numerator: coefficients, highest power of z first.
             denominator: the same; of a higher degree than the numerator or of the same.
 
-        Raises: see ``jaxstab.conventions``; ValueError also if the filter is not proper, not
-        stable, zero, or of an order above 40.
+        Raises: ValueError also if the filter is not proper, not stable, zero, or of an order above
+        40.
         """
         return cls((Rational(*_checked_rational(numerator, denominator)),))
 
@@ -630,6 +627,8 @@ class Velocity:
     ``savitzky_golay``, ``transfer_function`` or, without positions, ``measured``; multiply by a
     ``Filter`` to smooth it further.
 
+    Raises, of all methods: see ``jaxstab.conventions``; they say what they refuse beside it.
+
     Example:
         >>> str(jaxstab.Velocity.difference(samples=20) * jaxstab.Filter.low_pass(100.0))
         'the difference over a window of 20 samples, a low pass at 100 Hz of order 1'
@@ -687,8 +686,8 @@ class Velocity:
             q: the variance of the acceleration in (m/s^2)^2, > 0; rad in place of m for joints.
             r: the variance of a measured position in m^2, > 0.
 
-        Raises: see ``jaxstab.conventions``; ValueError also where the sampling period is known and
-        the gain is 0 or 1 in float64.
+        Raises: ValueError also where the sampling period is known and the gain is 0 or 1 in
+        float64.
 
         Source: Kalata, The tracking index (IEEE Trans. AES, 1984).
         """
@@ -700,8 +699,6 @@ class Velocity:
 
         The order is from 1 to one less than the samples, of which there are from 2 to 200; order 1
         is the slope of a straight line, 2 samples are the difference.
-
-        Raises: see ``jaxstab.conventions``.
 
         Source: Savitzky and Golay, Analytical Chemistry (1964); the weights are those of
         ``scipy.signal.savgol_coeffs(samples, order, deriv=1, pos=samples - 1)``.

@@ -109,6 +109,8 @@ class Hand:
 
     ``Device.held_by`` combines device and hand.
 
+    Raises, of all methods: see ``jaxstab.conventions``; they say what they refuse beside it.
+
     Example:
         >>> arm = jaxstab.Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
         >>> str(arm.with_grip(stiffness=2000.0, damping=4.0))
@@ -124,10 +126,7 @@ class Hand:
     def mass_spring_damper(
         cls, mass: float = 0.0, *, damping: float = 0.0, stiffness: float = 0.0
     ) -> "Hand":
-        """An arm of one mass on a spring and a damper to the ground, in kg, N s/m, N/m, each >= 0.
-
-        Raises: see ``jaxstab.conventions``.
-        """
+        """An arm of one mass on a spring and a damper to the ground: kg, N s/m, N/m, each >= 0."""
         return cls(_one_mass(mass, damping, stiffness, is_open=False))
 
     @classmethod
@@ -137,8 +136,7 @@ class Hand:
         Coefficients have the highest power first; [m, b, k] above [1] is a mass-spring-damper. The
         denominator's degree is at most two lower, as the force on a mass is m s^2.
 
-        Raises: see ``jaxstab.conventions``; ValueError also if a polynomial is 0, or the degrees do
-        not fit.
+        Raises: ValueError also if a polynomial is 0, or the degrees do not fit.
         """
         what = "the force on a hand grows with the acceleration at most, two degrees"
         return cls(checked_transfer_function(numerator, denominator, 2, what))
@@ -146,8 +144,7 @@ class Hand:
     def with_grip(self, *, stiffness: float, damping: float = 0.0) -> "Hand":
         """The same arm behind a grip: a massless spring and damper in parallel, in N/m and N s/m.
 
-        Raises: see ``jaxstab.conventions``; ValueError also if both are 0, or there is a grip
-        already.
+        Raises: ValueError also if both are 0, or there is a grip already.
         """
         if self.grip is not None:
             raise ValueError(f"the hand has a grip of {self.grip}; give one to a hand without.")
@@ -194,6 +191,8 @@ class Device:
     wall (``stability``). The numbers are taken as exact, and everything computed from them has
     error bounds.
 
+    Raises, of all methods: see ``jaxstab.conventions``; they say what they refuse beside it.
+
     Example:
         >>> arm = jaxstab.Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
         >>> device = jaxstab.Device.mass_spring_damper(mass=0.25, damping=0.1)
@@ -231,10 +230,7 @@ class Device:
     def mass_spring_damper(
         cls, mass: float, *, damping: float = 0.0, stiffness: float = 0.0
     ) -> "Device":
-        """A device of one mass > 0 at the handle in kg, damping and stiffness >= 0 to the ground.
-
-        Raises: see ``jaxstab.conventions``.
-        """
+        """A device of one mass > 0 at the handle in kg, damping, stiffness >= 0 to the ground."""
         return cls(_one_mass(mass, damping, stiffness, is_open=True))
 
     @classmethod
@@ -248,8 +244,8 @@ class Device:
             mass: of the rigid body in kg, > 0; None for a structure that is fixed to the ground.
             damping: of the rigid body in N s/m, >= 0.
 
-        Raises: see ``jaxstab.conventions``; TypeError also if a mode is not a Mode, ValueError if
-        there is neither a mode nor a mass.
+        Raises: TypeError also if a mode is not a Mode, ValueError if there is neither a mode nor a
+        mass.
         """
         given: Any = modes if isinstance(modes, Sequence) else [modes]
         for mode in given:
@@ -272,8 +268,7 @@ class Device:
         Coefficients have the highest power first. The denominator has the higher degree, up to 40;
         [m, b, k] below [1] is a mass-spring-damper.
 
-        Raises: see ``jaxstab.conventions``; ValueError also if a polynomial is 0, or the degrees do
-        not fit.
+        Raises: ValueError also if a polynomial is 0, or the degrees do not fit.
         """
         what = "position over force is strictly proper, a force moves a device, in time"
         return cls(checked_transfer_function(numerator, denominator, -1, what))._checked()
@@ -290,8 +285,8 @@ class Device:
         hand is elsewhere, B is of (n, 2), its second column for the hand's force, and C of (2, n),
         its second row for the position there; the first ones are motor and encoder.
 
-        Raises: see ``jaxstab.conventions``; ValueError also if the shapes do not fit, the position
-        never moves, or a hidden state does not decay.
+        Raises: ValueError also if the shapes do not fit, the position never moves, or a hidden
+        state does not decay.
         """
         return cls(checked_state_space(A, B, C))._checked()
 
@@ -304,8 +299,8 @@ class Device:
         (``Velocity.measured``). Of a loop, sample time and delay are whole numbers of its steps.
         Parts that no output shows count as all others do.
 
-        Raises: see ``jaxstab.conventions``; ValueError also if shapes do not fit, it is not proper,
-        of an order above 40, or never moves.
+        Raises: ValueError also if shapes do not fit, it is not proper, of an order above 40, or
+        never moves.
         """
         return cls(checked_discrete(system, step))
 
@@ -378,8 +373,6 @@ class Device:
         It acts on the wall's force, not on that of a hand; several actuators follow one another.
 
         At the bandwidth, in Hz and > 0, the force is 3 dB too weak.
-
-        Raises: see ``jaxstab.conventions``.
         """
         bandwidth = checked_number("bandwidth", bandwidth, 0.0, is_open=True, unit="Hz")
         return replace(self, bandwidths=(*self.bandwidths, bandwidth))._checked()
