@@ -26,7 +26,7 @@ from jaxstab.scene.loops import corner_loops, with_tolerances
 
 T = 1e-3
 LIGHT = ["--mass", "0.1", "--damping", "0.05", "--sample-time", "0.001"]
-ISSUE = ["--wall", "issue", "6669.1", "71.6"]  # stable for each constant delay from 0 to 1 ms
+SOFT = ["--wall", "soft", "6669.1", "71.6"]  # stable for each constant delay from 0 to 1 ms
 MOVING = [*LIGHT, "--delay", "0:0.001"]
 CAMPAIGN = pytest.mark.campaign
 TRUTH = Moving((1.0,), (0.1, 0.05, 0.0), T)
@@ -106,7 +106,7 @@ def test_a_picture_of_several_scenes_is_of_one_delay(
     monkeypatch.chdir(tmp_path)
     for file in ("a.toml", "b.toml"):
         Path(file).write_text("[device]\ndamping = 0.05\n", encoding="utf-8")
-    arguments = ["check", "a.toml", "b.toml", *ISSUE, "--plot", "picture.png"]
+    arguments = ["check", "a.toml", "b.toml", *SOFT, "--plot", "picture.png"]
     for options in ([], ["--constant-delay"], ["--lost-samples", "2"]):
         refused = run(*arguments, *MOVING, *options)
         assert refused.exit_code == 2
@@ -123,11 +123,11 @@ def test_a_picture_of_several_scenes_is_of_one_delay(
 @pytest.mark.campaign
 def test_pictures_are_of_one_delay_or_of_one_that_moves(tmp_path: Path) -> None:
     file = tmp_path / "picture.png"
-    refused = run("check", *MOVING, *ISSUE, "--constant-delay", "--plot", file)
+    refused = run("check", *MOVING, *SOFT, "--constant-delay", "--plot", file)
     assert refused.exit_code == 2
     assert "but a picture is for one constant delay; give one" in refused.stderr
     assert not file.exists()
-    assert run("limits", *MOVING, *ISSUE, "--plot", file).exit_code == 1  # a wall is unstable
+    assert run("limits", *MOVING, *SOFT, "--plot", file).exit_code == 1  # a wall is unstable
     assert file.stat().st_size > 10_000
 
 
@@ -251,7 +251,7 @@ def test_the_range_of_delays_stands_first_with_what_is_proved(command: str) -> N
 
 def test_an_unstable_wall_names_delays_that_make_it_grow() -> None:
     for command in ("limits", "check"):
-        wall = answered(command, *MOVING, *ISSUE, code=1)["walls"]["issue"]
+        wall = answered(command, *MOVING, *SOFT, code=1)["walls"]["soft"]
         assert wall["verdict"] == "unstable"
         said = re.fullmatch(
             r"delays of ([\d., ]+) ms in turn: the motion grows by a factor of ([\d.]+) per sample",
@@ -268,14 +268,14 @@ def test_an_unstable_wall_names_delays_that_make_it_grow() -> None:
 
 def test_the_same_wall_is_proved_for_every_constant_delay() -> None:
     for command in ("limits", "check"):
-        answer = answered(command, *MOVING, *ISSUE, "--constant-delay")
-        assert answer["walls"]["issue"]["verdict"] == "stable"
-        assert "worst_delays" not in answer["walls"]["issue"]
+        answer = answered(command, *MOVING, *SOFT, "--constant-delay")
+        assert answer["walls"]["soft"]["verdict"] == "stable"
+        assert "worst_delays" not in answer["walls"]["soft"]
     assert all(true_radius(6669.1, 71.6, delay) < 1.0 for delay in np.linspace(0.0, 1.0, 21))
 
 
 def test_an_unstable_wall_names_the_constant_delay() -> None:
-    walls = [*ISSUE, "--wall", "hard", "16000", "40"]
+    walls = [*SOFT, "--wall", "hard", "16000", "40"]
     answer = answered("limits", *MOVING, *walls, "--constant-delay", code=1)["walls"]["hard"]
     assert answer["verdict"] == "unstable"
     assert answer["worst_delays"].startswith("a constant delay of 1 ms: the motion grows by a ")
@@ -470,15 +470,15 @@ def test_no_sequence_within_the_margin_of_every_hand_makes_one_grow() -> None:
 
 def test_of_a_wall_that_is_not_stable_for_moving_delays_no_constant_one_is_measured() -> None:
     """The wall is stable at each constant delay, which would be printed below "unstable"."""
-    text = run("check", "--all", *MOVING, *ISSUE).stdout
+    text = run("check", "--all", *MOVING, *SOFT).stdout
     assert re.search(r"(?m)^  verdict +unstable$", text)
     assert re.search(r"(?m)^  measures +left out: they are of constant delays", text)
     for words in ("settled", "spectral radius", "margins", "stiffness gain", "stable at"):
         assert words not in text
     push = ["--push", "1"]
-    last = run("check", *MOVING, *ISSUE, *push).stdout.splitlines()[-1]
-    assert re.match(r"wall issue .*: unstable; delays of .* in turn: the motion grows by", last)
-    constant = run("check", *MOVING, *ISSUE, *push, "--constant-delay")
+    last = run("check", *MOVING, *SOFT, *push).stdout.splitlines()[-1]
+    assert re.match(r"wall soft .*: unstable; delays of .* in turn: the motion grows by", last)
+    constant = run("check", *MOVING, *SOFT, *push, "--constant-delay")
     assert constant.exit_code == 0
     for words in ("gain margins", "extra delay", "phase margin", "settling time", "contact"):
         assert f"\n  {words}" in constant.stdout
@@ -647,11 +647,11 @@ def test_measures_with_hands_are_the_worst_at_all_corners_of_constant_delays() -
 
 def test_ranges_of_delays_are_rows_of_a_table(tmp_path: Path) -> None:
     file = tmp_path / "rows.csv"
-    result = run("check", *MOVING, *ISSUE, "--csv", file)
+    result = run("check", *MOVING, *SOFT, "--csv", file)
     assert result.exit_code == 1
     rows = list(csv.DictReader(io.StringIO(file.read_text(encoding="utf-8"))))
     assert [row["inputs.delay_high"] for row in rows] == ["0.001"]
-    assert rows[0]["walls.issue.verdict"] == "unstable"
+    assert rows[0]["walls.soft.verdict"] == "unstable"
     assert rows[0]["refusal"] == ""
 
 
