@@ -365,7 +365,7 @@ def use_compilation_cache(folder: str | os.PathLike[str] | None = None) -> Path:
     folder of caches (``XDG_CACHE_HOME`` or ``~/.cache``). Returns the folder, which is made if it
     is missing.
 
-    Raises: OSError if the folder cannot be made.
+    Raises: OSError if the folder cannot be made, or the home directory is not known.
 
     Example:
         >>> import jaxstab
@@ -374,7 +374,11 @@ def use_compilation_cache(folder: str | os.PathLike[str] | None = None) -> Path:
     folder = folder or os.environ.get("JAX_COMPILATION_CACHE_DIR")
     if not folder:
         home = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
-        folder = Path(home or Path.home() / ".cache") / "jaxstab"
+        try:
+            folder = Path(home or Path.home() / ".cache") / "jaxstab"
+        except RuntimeError as error:  # the user has no entry in the list of users
+            words = "the home directory is not known; set HOME or JAX_COMPILATION_CACHE_DIR."
+            raise FileNotFoundError(words) from error
     path = Path(folder).absolute()
     path.mkdir(parents=True, exist_ok=True)
     options: dict[str, str | float] = {

@@ -32,7 +32,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 from jaxstab.conventions import AXES
-from jaxstab.durable import is_memory_short, named_errors, replacing, require_no_output, write_all
+from jaxstab.durable import (
+    is_memory_short,
+    named_errors,
+    replacing,
+    require_no_output,
+    target_of,
+    write_all,
+)
 from jaxstab.shown import printable, shortened
 
 if TYPE_CHECKING:
@@ -608,8 +615,9 @@ def read(path: Path) -> "Dataset":
     """Return the table in a file, whole; OSError: it cannot be read; ValueError: it is no table."""
     xarray = xarray_module()
     require_no_output(path)
-    with named_errors("read", path), path.open("rb"):
-        pass
+    with named_errors("read", path):
+        target_of(path)  # which refuses folders, devices and pipes
+        path.open("rb").close()
     unreadable = AttributeError, IndexError, KeyError, OSError, RuntimeError, TypeError, ValueError
     try:
         return xarray.load_dataset(path, engine="h5netcdf")

@@ -55,6 +55,13 @@ WITH_FLINT = {  # loops, lines of walls and regions are in balls, filters in exa
     ),
 }
 
+
+@pytest.mark.parametrize("name", COMPUTING_CALLS)
+def test_callers_may_let_numpy_raise_its_errors(name: str) -> None:
+    with np.errstate(all="raise"):
+        assert not outcome(name).startswith("FloatingPointError")
+
+
 WITHOUT_JAX = """
 import json, sys
 

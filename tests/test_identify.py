@@ -1,7 +1,9 @@
 """What a log tells about a device: against logs that an independent simulation made."""
 
 import math
+import os
 import re
+import threading
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -372,6 +374,11 @@ BAD = {
     "a word": (GOOD.replace("\n0.5,", "\nhalf,", 1), "time is 'half'"),
     "NaN": (GOOD.replace("\n0.5,", "\nnan,", 1), "give a finite number"),
     "a missing row": (GOOD.replace("\n0.5,", "\n0.5005,", 1), "the time does not grow"),
+    "a gap": (
+        re.sub(r"\n(0\.[5-9]|[1-9])", lambda found: f"\n7{found[1]}", GOOD),
+        "from 0.499 s to 70.5 s (rows 500 and 501) the time does not grow by the usual step of 0.0",
+    ),
+    "times of no number": (GOOD.replace("\n0.5,", "\n1e308,", 1), "(rows 500 and 501)"),
     "too short": ("\n".join(GOOD.splitlines()[:100]), "rows of the log: 99"),
     "no motion": (STILL, "position spans 0"),
     "the sign of the force": (
@@ -380,6 +387,10 @@ BAD = {
     ),
     "a motion of its own": (WEAK, "force"),
     "empty": ("", "no column"),
+    "forces of 1e-300 N": (
+        as_csv(replace(made, force=1e-300 * np.sign(made.force))),
+        "the motion of this log is beyond the range of float64; give force in N",
+    ),
     "a device that stands": (
         as_csv(replace(made, position=np.full(2000, 0.25))),
         "position spans 0 and force spans 5.1644; give",
@@ -421,6 +432,29 @@ def test_a_single_sine_does_not_tell_mass_damping_and_delay() -> None:
     turn = 0.01 * np.arange(2000)
     with pytest.raises(ValueError, match="does not separate the mass from damping and friction"):
         jaxstab.identify(force=np.sin(turn), position=-np.sin(turn), sample_time=1e-3)
+
+
+@pytest.mark.parametrize("period", [0.0, 1e-200, 1e200, 1e308, np.inf, np.nan])
+def test_a_sample_time_of_no_log_is_refused(period: float, tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    log.write_text(GOOD, encoding="utf-8")
+    for servo_options in ([], ["--kp", 1, "--kd", 1, "--setpoint", "position"]):
+        answer = run("identify", log, *servo_options, "--sample-time", period)
+        assert (answer.exit_code, answer.stdout) == (2, "")
+        assert_one_sentence(answer.stderr)
+        assert "finite values from 1e-09 to 1e+06 s" in answer.stderr
+
+
+def test_a_log_is_read_from_a_pipe_once(tmp_path: Path) -> None:
+    pipe, log = tmp_path / "pipe.csv", tmp_path / "log.csv"
+    log.write_text(GOOD, encoding="utf-8")
+    os.mkfifo(pipe)
+    writer = threading.Thread(target=pipe.write_text, args=(GOOD,))
+    writer.start()
+    answer = run("identify", pipe, "--sample-time", 1e-3)
+    writer.join()
+    assert answer.stdout == run("identify", log, "--sample-time", 1e-3).stdout
+    assert answer.exit_code == 0
 
 
 def test_columns_of_other_lengths_are_refused() -> None:

@@ -2,7 +2,9 @@
 
 import json
 import math
+import os
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -577,6 +579,26 @@ def test_a_sample_time_in_place_of_the_rate_is_warned_of() -> None:
         (["--rate", "500", "--gains", "{folder}/odd.yaml"], "odd.yaml is not YAML: special"),
         (["--rate", "500", "--gains", "{folder}/twice.yaml"], "gives 'elbow' twice"),
         (["--rate", "500", "--gains", "{folder}/inner.yaml"], "gives 'kp' twice"),
+        (["--rate", "500", "--gains", "{folder}/time.yaml"], "'x' is not a value of the type time"),
+        (
+            ["--rate", "500", "--gains", "{folder}/truth.yaml"],
+            "'x' is not a value of the type bool",
+        ),
+        (["--rate", "500", "--gains", "{folder}/int.yaml"], "'x' is not a value of the type int"),
+        (["--rate", "500", "--gains", "{folder}/float.yaml"], "'x' is not a value of the type flo"),
+        (["--rate", "500", "--gains", "{folder}/day.yaml"], "'2026-13-45' is not a value of the t"),
+        (
+            ["--rate", "500", "--gains", "{folder}/digits.yaml"],
+            "99' is not a value of the type int",
+        ),
+        (["--rate", "500", "--gains", "{folder}/deep.yaml"], "deep.yaml is nested too deeply; giv"),
+        (["--rate", "500", "--gains", "{folder}/deeper.yaml"], "deeper.yaml is nested too deeply"),
+        (["--rate", "500", "--gains", "{folder}/cycle.yaml"], "kd of elbow is [[[[[[[...]]]]]]]"),
+        (["--rate", "500", "--gains", "{folder}/laughs.yaml"], "kd of elbow is [[1], [[1], [1]"),
+        (
+            ["--rate", "500", "--gains", "{folder}/many.yaml"],
+            "many.yaml has more than 0.2 MB; give",
+        ),
         (["--rate", "500", "--safe-gains", "safe.txt"], "ends in neither .yaml nor .yml"),
     ],
 )
@@ -591,6 +613,19 @@ def test_bad_input_is_one_sentence(options: list[str], words: str, tmp_path: Pat
         "word": "elbow: {kp: soft, kd: 1}",
         "text": "elbow: {kp: '60', kd: 1}",
         "odd": "elbow: \x01",
+        "time": 'elbow: {kp: 1, kd: !!timestamp "x"}',
+        "truth": 'elbow: {kp: 1, kd: !!bool "x"}',
+        "int": 'elbow: {kp: 1, kd: !!int "x"}',
+        "float": 'elbow: {kp: 1, kd: !!float "x"}',
+        "day": "elbow: {kp: 1, kd: 2026-13-45}",
+        "digits": f"elbow: {{kp: 1, kd: {'9' * 5000}}}",
+        "deep": f"elbow: {{kp: 1, kd: {'[' * 5000}",
+        "deeper": f"elbow: {{kp: 1, kd: {'{a: ' * 5000}",
+        "cycle": "elbow: {kp: 1, kd: &a [*a]}",
+        "laughs": "elbow: {kp: 1, kd: [&a0 [1], "  # 3^40 numbers
+        + ", ".join(f"&a{n + 1} [*a{n}, *a{n}, *a{n}]" for n in range(40))
+        + "]}",
+        "many": "".join(f"joint_{number}: {{kp: 1, kd: 1}}\n" for number in range(60_000)),
     }
     for name, text in files.items():
         (tmp_path / f"{name}.yaml").write_text(text)
@@ -599,6 +634,47 @@ def test_bad_input_is_one_sentence(options: list[str], words: str, tmp_path: Pat
     assert done.exit_code == 2
     assert_one_sentence(done.stderr)
     assert words in done.stderr
+
+
+NO_INERTIA = """<mujoco><worldbody><body>
+  <joint name="a" type="slide" axis="1 0 0"/><joint name="b" type="slide" axis="1 0 0"/>
+  <inertial pos="0 0 0" mass="{mass}" diaginertia="1 1 1"/>
+  <body><joint name="c"/><inertial pos="0 0 0" mass="1e-14" diaginertia="1e-14 1e-14 1e-14"/></body>
+</body></worldbody></mujoco>"""
+
+
+def test_what_mujoco_warns_of_is_in_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("robot.xml").write_text(NO_INERTIA.format(mass="1e10"))
+    done = run("joints", "robot.xml", "--rate", "500")
+    assert (done.exit_code, done.stdout) == (2, "")
+    assert_one_sentence(done.stderr)
+    assert "its mass matrix is not positive; give one that moves" in done.stderr
+    assert [file.name for file in tmp_path.iterdir()] == ["robot.xml"]
+    assert mujoco.get_mju_user_warning() is None
+
+
+def test_what_mujoco_warns_of_is_a_warning_of_python() -> None:
+    model = arm(elbow=0.0)
+    model.body_mass[-1] = model.body_inertia[-1] = 1e-16
+    with pytest.warns(UserWarning, match="MuJoCo: Inertia matrix is too close to singular"):
+        elbow = jaxstab.joints(model, rate=500.0).joints["elbow"]
+    assert elbow.inertia == pytest.approx((1.01e-16, 1.01e-16), rel=1e-6)
+
+
+def test_a_robot_is_read_from_a_pipe_once(tmp_path: Path) -> None:
+    pipe, file = tmp_path / "pipe.xml", tmp_path / "arm.xml"
+    file.write_text(ARM.format(**PLAIN))
+    os.mkfifo(pipe)
+    writer = threading.Thread(target=pipe.write_text, args=(file.read_text(),))
+    writer.start()
+    answer = run("joints", pipe, "--rate", 500)
+    writer.join()
+    plain = run("joints", file, "--rate", 500)
+    assert answer.stdout == plain.stdout.replace(str(file), str(pipe))
+    assert answer.exit_code == plain.exit_code == 1  # no gains
 
 
 @pytest.mark.parametrize(

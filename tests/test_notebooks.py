@@ -1,5 +1,6 @@
 """The notebooks run from the first cell to the last."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -21,6 +22,16 @@ def test_a_notebook_runs(file: Path) -> None:
     nbclient.NotebookClient(
         notebook, timeout=300, resources=folder, kernel_name="python3"
     ).execute()
+
+
+def test_the_notebook_of_an_atlas_says_that_it_needs_a_checkout(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    cells = json.loads((ROOT / "docs/notebooks/atlas_elsewhere.ipynb").read_text("utf-8"))["cells"]
+    code = next("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+    with pytest.raises(FileNotFoundError, match="run this notebook in a checkout of jaxstab"):
+        exec(code, {})
 
 
 def test_every_notebook_is_on_the_page() -> None:

@@ -143,10 +143,15 @@ def test_a_csv_file_has_a_name_that_is_no_text(tmp_path: Path) -> None:
     with open(scene, "w", encoding="utf-8") as file:
         file.write(EXAMPLE)
     words, table = ["limits", os.fsdecode(scene), "--csv"], tmp_path / "table.csv"
-    printed = subprocess.run([sys.executable, "-c", START, *words, "-"], stdout=subprocess.PIPE)
-    assert scene in printed.stdout
     written = run(*words, table)
-    assert (written.exit_code, table.read_bytes()) == (printed.returncode, printed.stdout)
+    assert scene in table.read_bytes()
+    for more in ({}, {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}):
+        printed = subprocess.run(
+            [sys.executable, "-c", START, *words, "-"],
+            stdout=subprocess.PIPE,
+            env=os.environ | more,
+        )
+        assert (written.exit_code, table.read_bytes()) == (printed.returncode, printed.stdout)
 
 
 def test_where_tiles_are_computed_is_checked_first(tmp_path: Path) -> None:
@@ -265,7 +270,33 @@ def test_a_table_is_not_called_damaged_where_memory_runs_short(
 def test_a_pipe_is_not_waited_for(path: Path, tmp_path: Path) -> None:
     pipe = tmp_path / "pipe.h5"
     os.mkfifo(pipe)
-    for command in ("info", "verify"):
-        answer = run("atlas", command, pipe)
+    for command in (
+        ["atlas", "info", pipe],
+        ["atlas", "verify", pipe],
+        ["study", "--merge", pipe, "-o", tmp_path / "all.h5"],
+    ):
+        answer = run(*command)
         assert answer.exit_code == 2
+        assert_one_sentence(answer.stderr)
         assert "it is a device, a pipe or a socket" in answer.stderr
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["atlas", "build"],
+        ["guard", "--device", "omega", "--sample-time", "0.001"],
+        ["figure", "4"],
+        ["region", "--gamma", "0", "--delta", "0"],
+        ["explore"],
+    ],
+    ids=lambda command: command[0],
+)
+def test_no_file_is_named_by_a_dash(
+    command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    answer = run(*command, "-o", "-")
+    assert (answer.exit_code, answer.stdout) == (2, "")
+    assert_one_sentence(answer.stderr)
+    assert not list(tmp_path.iterdir())

@@ -84,6 +84,8 @@ def test_a_hundred_thousand_walls_are_refused() -> None:
             ["check", *LOOP, "--delay-samples", "129", "--hand-mass", "0:1", *A_WALL],
             "129 samples beside a range of hands; give at most 128 samples, or one hand",
         ),
+        (["study", *LOOP, "--over", "device.mass=1,2", "--workers", "99999999999"], "<=x<=1000"),
+        (["atlas", "build", "--workers", "99999999999"], "is not in the range 1<=x<=1000"),
         (["guard", *LOOP, "-o", "g.h", "--delay", "0:1e9"], "give at most 500 samples"),
         (["guard", *LOOP, "-o", "g.h", "--cells", "1048576,1024,1024"], "give fewer"),
         (["guard", *LOOP, "-o", "g.h", "--cells", "64,64,64"], "may have 166666 numbers"),
@@ -99,6 +101,38 @@ def test_what_would_take_too_long_is_refused_at_the_door(
     assert done.exit_code == 2
     assert_one_sentence(done.stderr)
     assert words in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("command", ["limits", "check", "tune"])
+@pytest.mark.parametrize("count", [20, 1000])
+def test_a_device_of_many_modes_is_refused_before_its_polynomials_are_multiplied(
+    command: str, count: int, tmp_path: Path
+) -> None:
+    mode = "[[device.modes]]\nfrequency = {}.0\ndamping_ratio = 0.01\nmodal_mass = 1.0\n"
+    modes = "".join(mode.format(50 + number) for number in range(count))
+    file = tmp_path / "scene.toml"
+    file.write_text(scene_text("a").replace("[controller]", f"{modes}[controller]"))
+    done = run(command, file)
+    assert (done.exit_code, done.stdout) == (2, "")
+    assert_one_sentence(done.stderr)
+    assert f"modes has {count} modes; give 19 at most." in done.stderr
+
+
+def test_a_user_without_a_home_directory_has_no_cache(tmp_path: Path) -> None:
+    start = f"import pwd; pwd.getpwuid = lambda user: {{}}[user]; {START}"  # an unknown user
+    command = ["study", *LOOP, "--over", "device.mass=0.1,0.2"]
+    names = "HOME", "XDG_CACHE_HOME", "LOCALAPPDATA", "JAX_COMPILATION_CACHE_DIR"
+    done = subprocess.run(
+        [sys.executable, "-c", start, *command],
+        capture_output=True,
+        text=True,
+        env={name: value for name, value in os.environ.items() if name not in names},
+        cwd=tmp_path,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "largest stiffness" in done.stdout
     assert not list(tmp_path.iterdir())
 
 

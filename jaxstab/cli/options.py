@@ -80,11 +80,15 @@ PICTURES = ".png", ".svg"
 
 
 def _output_file(
-    endings: tuple[str, ...], context: click.Context, option: click.Parameter, path: Path | None
+    endings: tuple[str, ...],
+    may_be_stdout: bool,
+    context: click.Context,
+    option: click.Parameter,
+    path: Path | None,
 ) -> Path | None:
-    """Return the name of a file that may be written, in a folder that exists; "-" is stdout.
+    """Return the name of a file that may be written, in a folder that exists.
 
-    Until the command ends, it may not be read.
+    "-" is stdout, of options that allow it. Until the command ends, the file may not be read.
     """
     if path is None:
         return path
@@ -93,7 +97,11 @@ def _output_file(
         words = words if len(endings) > 1 else f"does not end in {endings[0]}"
         raise click.BadParameter(f"{path} {words}.", param=option)
     if str(path) == "-":
-        return path
+        if may_be_stdout:
+            return path
+        raise click.BadParameter(
+            "it is -, but is not written to stdout; name a file.", param=option
+        )
     try:
         folder = target_of(path)[0].parent
     except OSError as error:
@@ -113,10 +121,17 @@ def _output_file(
 
 
 def file_option(
-    *names: str, endings: tuple[str, ...] = (), **more: Any
+    *names: str, endings: tuple[str, ...] = (), may_be_stdout: bool = False, **more: Any
 ) -> Callable[[Command], Command]:
     """Return the option of a file to write, whose name is checked before anything is computed."""
-    return click.option(*names, type=Path, callback=partial(_output_file, endings), **more)
+    check = partial(_output_file, endings, may_be_stdout)
+    return click.option(*names, type=Path, callback=check, **more)
+
+
+def csv_option(words: str) -> Callable[[Command], Command]:
+    """Return the option of a CSV file to write, or to print."""
+    words = f"CSV file ('-': stdout) {words}"
+    return file_option("--csv", "csv_file", may_be_stdout=True, help=words)
 
 
 def plot_option(words: str) -> Callable[[Command], Command]:
@@ -143,11 +158,12 @@ def print_with_csv(words: Any, rows: Iterable[Iterable[Any]], file: Path | None)
     if file:
         stream = io.StringIO()
         csv.writer(stream, lineterminator="\n").writerows(map(_no_formula, row) for row in rows)
+        # The bytes of a scene's file name, which need not be UTF-8, whatever the locale is.
+        data = stream.getvalue().encode(errors="surrogateescape")
         if str(file) == "-":
-            words = stream.getvalue().rstrip("\n")
+            words = data.rstrip(b"\n")
         else:
-            # The name of a scene's file may be no UTF-8: its bytes are written, as stdout has them.
-            write_beside(stream.getvalue().encode(errors="surrogateescape"), file)
+            write_beside(data, file)
     click.echo(words)
 
 
@@ -199,7 +215,9 @@ def together(*decorations: Any) -> Callable[[Callable[..., Any]], Callable[..., 
 
 # Where tiles and blocks are computed, which ``workers_in`` and ``computing`` read.
 executor_options = together(
-    click.option("--workers", type=click.IntRange(1), help="Number of processes to use here."),
+    click.option(
+        "--workers", type=click.IntRange(1, 1000), help="Number of processes to use here."
+    ),
     click.option(
         "--scheduler",
         help="Address of the dask scheduler to compute on; default: DASK_SCHEDULER_ADDRESS, if "

@@ -241,8 +241,8 @@ def figure(number: str, output: Path, form: str) -> None:
     from jaxstab.pictures.plane import paper_figure
     from jaxstab.pictures.style import picture
 
-    if output.suffix in (".png", ".svg"):
-        raise click.UsageError(f"{output} is the name of a picture; give a folder to -o.")
+    if output.suffix in (".png", ".svg") or str(output) == "-":
+        raise click.UsageError(f"{output} is not the name of a folder; give one to -o.")
     with named_errors("write to", output):
         output.mkdir(parents=True, exist_ok=True)
     for which in _FIGURES if number == "all" else [int(number)]:

@@ -20,6 +20,7 @@ from jaxstab import tables as t
 from jaxstab.cli.options import (
     at_work,
     computing,
+    csv_option,
     draw,
     executor_options,
     file_option,
@@ -145,11 +146,7 @@ mechanics_options = together(
 scene_options = together(
     mechanics_options,
     plot_option("PNG or SVG file to draw the scene into."),
-    file_option(
-        "--csv",
-        "csv_file",
-        help="CSV file ('-': stdout) to write all values into, a row for each scene.",
-    ),
+    csv_option("to write all values into, a row for each scene."),
     click.option("--json", "as_json", is_flag=True, help="Print JSON."),
 )
 
@@ -493,7 +490,12 @@ def scene() -> None:
 
 
 @scene.command()
-@file_option("-o", "--output", help="File to write, which must not exist; default: print it.")
+@file_option(
+    "-o",
+    "--output",
+    may_be_stdout=True,
+    help="File to write, which must not exist; default: print it.",
+)
 @click.option(
     "--kind",
     type=click.Choice(["wall", "simulator", "admittance", "pid", "coupling"]),
@@ -635,7 +637,7 @@ def guard(output: Path, plot: Path | None, **given: Any) -> None:
 
 @click.command()
 @click.argument("log", type=Path)
-@file_option("-o", "--output", help="Scene (TOML) to write; '-': stdout.")
+@file_option("-o", "--output", may_be_stdout=True, help="Scene (TOML) to write; '-': stdout.")
 @together(
     *(
         click.option(
@@ -726,7 +728,7 @@ def identify(
 @click.option("--cutoff", type=float, help="Low pass of the velocity in Hz; default: none.")
 @click.option("--gains", type=Path, help="YAML file: kp and kd by the names of joints.")
 @click.option("--simulated", is_flag=True, help="Take the file's own step and integrator.")
-@file_option("--csv", "csv_file", help="CSV file ('-': stdout), a row for each joint.")
+@csv_option("for the table, a row for each joint.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @file_option("--safe-gains", endings=(".yaml", ".yml"), help="YAML file of safe gains to write.")
 def joints(
@@ -784,9 +786,7 @@ def joints(
 @file_option(
     "-o", "--output", endings=(".h5", ".nc"), help="Store the table as this netCDF-4 file."
 )
-@file_option(
-    "--csv", "csv_file", help="CSV file ('-': stdout) for the table, a row for each loop and wall."
-)
+@csv_option("for the table, a row for each loop and wall.")
 @executor_options
 @click.option(
     "--part",

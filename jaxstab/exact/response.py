@@ -117,6 +117,7 @@ class Responses(NamedTuple):
     late: int = 0
     growth: float = 0.0
 
+    @np.errstate(under="ignore")  # of what decays
     def sums(
         self, rows: Float64[np.ndarray, "row series"], columns: Float64[np.ndarray, "column input"]
     ) -> Float64[np.ndarray, "column row"]:

@@ -42,6 +42,7 @@ one sample moves later ones by the response of S = p_0/p, the polynomials withou
 Intervals are those of errors of the log alone, or those of the servo's, where these are larger.
 """
 
+import os
 import warnings
 from contextlib import suppress
 from dataclasses import dataclass, fields
@@ -73,6 +74,7 @@ Unknowns = Float64[np.ndarray, "segment unknown"]  # initial position and veloci
 
 HISTORY = 100  # samples before the first segment: longer delays are not tried
 AHEAD = 8  # samples: shorter delays than -8, of columns shifted in time, are not tried
+_PERIODS = 1e-9, 1e6  # s: those of logs
 _ODD = 1.5  # times what noise leaves: a larger residual has a reason
 _EXCITE = "excite the device more strongly, or with more changes of the force"
 
@@ -189,7 +191,7 @@ def identify(
         ValueError: rows of the log: 1; give 2000 to 64000, such as those of ten seconds.
     """
     fewest, most = 2000, 64_000  # rows
-    period = checked_number("sample_time", sample_time, 0.0, is_open=True, unit="s")
+    period = checked_number("sample_time", sample_time, *_PERIODS, unit="s")
     given = {"force": force, "position": position}
     given |= {} if velocity is None else {"velocity": velocity}
     columns = {name: np.ravel(checked(name, x)) for name, x in given.items()}
@@ -282,7 +284,7 @@ def identify_servo(
         >>> print(f"{found.mass.value:.6f} kg m^2, {1e3 * found.delay.value:.4f} ms")
         0.010000 kg m^2, 3.0000 ms
     """
-    period = checked_number("sample_time", sample_time, 0.0, is_open=True, unit="s")
+    period = checked_number("sample_time", sample_time, *_PERIODS, unit="s")
     gains = checked_number("kp", kp, 0.0, is_open=True), checked_number("kd", kd, 0.0)
     measured, still, step = _stepped(setpoint, position)
     count, rest = len(measured) - still, float(measured[:still].mean())
@@ -550,6 +552,11 @@ def _refined(
         if np.max(abs(step)) < shortest:
             break
         trial = best + step
+    if not least < inf:
+        raise ValueError(
+            "the motion of this log is beyond the range of float64; give force in N, and position "
+            "in m or rad."
+        )
     is_near = gain < 1e-4 * least or np.max(abs(step)) < shortest  # by less than its error
     doubt = "" if is_near else f"the best fit was not found in {most} steps: no interval holds"
     return best * sizes, fitted, rows, doubt
@@ -620,23 +627,28 @@ def read_log(
     columns = {key: np.array(table[name]) for key, name in own.items() if name in table}
     if sample_time is not None:
         return {"sample_time": sample_time, **columns}, _clash(file, time, sample_time)
-    steps, unequal = np.diff(table[time]), 0.1  # of a sample: the most that a time step may differ
-    if not len(steps):
-        raise ValueError(f"{file} has {len(table[time])} rows of numbers; give all.")
-    sample_time = float(np.mean(steps))
-    odd = np.flatnonzero(~(abs(steps - sample_time) <= unequal * sample_time))
-    if len(odd) or not sample_time > 0.0:
-        line = int(odd[0]) + 3 if len(odd) else 3
+    times, unequal = np.array(table[time]), 0.1  # of a sample: the most that a step may differ
+    if len(times) < 2:
+        raise ValueError(f"{file} has {len(times)} rows of numbers; give all.")
+    with np.errstate(all="ignore"):  # steps may overflow
+        steps = np.diff(times)
+        step = np.median(steps)  # unlike the mean, a gap does not change it
+        odd = np.flatnonzero(~((abs(steps - step) <= unequal * step) & (steps > 0.0)))
+    if len(odd):
+        row = int(odd[0])
         raise ValueError(
-            f"{file}, line {line}: the time does not grow by the mean step of {sample_time:.6g} s; "
-            "give a log with equal steps, or --sample-time if no row is missing."
+            f"{file}: from {times[row]:.9g} s to {times[row + 1]:.9g} s (rows {row + 1} and "
+            f"{row + 2}) the time does not grow by the usual step of {step:.6g} s; give a log with "
+            "equal steps, or --sample-time if no row is missing."
         )
-    return {"sample_time": sample_time, **columns}, ""
+    return {"sample_time": float(np.mean(steps)), **columns}, ""
 
 
 def _clash(file: str, time: str, sample_time: float) -> str:
     """A warning if the file has a time column with another mean step than the sampling period."""
-    with suppress(ValueError):  # there is none, it has no numbers, or stdin was read
+    if not os.path.isfile(file):  # stdin or a pipe, which is read once
+        return ""
+    with suppress(ValueError):  # there is none, or it has no numbers
         times = columns_of(file, [time])[time]
         step = (times[-1] - times[0]) / max(len(times) - 1, 1)
         if not abs(step - sample_time) <= 0.01 * sample_time:

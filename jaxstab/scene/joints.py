@@ -7,10 +7,11 @@ joint is judged alone (``loop.joint``); those that move only with others are nam
 Left out are gravity, and that other joints are controlled at the same time.
 """
 
+import os
 import re
 import warnings
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from decimal import ROUND_CEILING
@@ -38,7 +39,7 @@ mujoco: Any = lazy_loader.load("mujoco")  # loaded at its first use
 
 _SEED = 55  # of the postures
 MOST_BYTES = 100_000_000
-"""Of a file."""
+"""Of a robot file."""
 
 
 def joints(
@@ -84,8 +85,11 @@ def joints(
         >>> shoulder.verdict, round(shoulder.kp_growth, 1), elbow.verdict
         (<Verdict.STABLE: 1>, 13.5, <Verdict.UNSTABLE: 2>)
     """
-    model = model_of(robot)
-    found = joints_of(model, checked_count("postures", postures, 1, 100_000))
+    count = checked_count("postures", postures, 1, 100_000)
+    optional("mujoco")
+    with _mujoco_warnings():
+        model = model_of(robot)
+        found = joints_of(model, count)
     timing = {"rate": rate, "delay": delay, "jitter": jitter, "velocity": velocity}
     control = _control(model, simulated=simulated, **timing)
     given = _checked_gains({} if gains is None else gains, [*found])
@@ -154,6 +158,9 @@ def _checked_gains(gains: Any, names: list[str]) -> dict[str, PD]:
             )
         if not isinstance(pair, Mapping) or {*pair} != {"kp", "kd"}:
             raise ValueError(f"the gains of {name} are {shortened(pair)}; give kp and kd.")
+        for key, gain in pair.items():  # a list of YAML may hold itself, or too much to look at
+            if isinstance(gain, list):
+                raise TypeError(f"{key} of {name} is {shortened(gain)}; give a real number.")
         kp, kd = (checked_number(f"{key} of {name}", pair[key], 0.0) for key in ("kp", "kd"))
         checked[name] = kp, kd
     return checked
@@ -167,11 +174,11 @@ def read_gains(file: str | PathLike[str]) -> Any:
         """YAML in which keys are texts, such as 1 or on, and none is given twice."""
 
         def construct_mapping(self, node: Any, deep: bool = False) -> Any:
-            names = [str(key.value) for key, _ in node.value]
-            for name in names:
-                if names.count(name) > 1:
-                    raise ValueError(f"{file} gives {shortened(name)} twice; give each key once.")
+            names = set[str]()
             for key, _ in node.value:
+                if (name := str(key.value)) in names:
+                    raise ValueError(f"{file} gives {shortened(name)} twice; give each key once.")
+                names.add(name)
                 if isinstance(key, yaml.ScalarNode) and not key.tag.endswith(":merge"):
                     key.tag = "tag:yaml.org,2002:str"
             return super().construct_mapping(node, deep)
@@ -179,13 +186,33 @@ def read_gains(file: str | PathLike[str]) -> Any:
     # PyYAML takes 1e3, without a point and a sign, for a text.
     number = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+")
     Once.add_implicit_resolver("tag:yaml.org,2002:float", number, [*"-+.0123456789"])
+    for kind in ("bool", "float", "int", "timestamp"):
+        Once.add_constructor(f"tag:yaml.org,2002:{kind}", _checked_value(Once, kind))
+    most = 200_000  # bytes, of 5,000 joints: PyYAML takes seconds for more
     try:
-        return yaml.load(text_of(file, MOST_BYTES), Once) or []  # which are no gains
+        return yaml.load(text_of(file, most), Once) or []  # an empty file holds no gains
+    except RecursionError:
+        raise ValueError(f"{file} is nested too deeply; give kp and kd by joints.") from None
     except yaml.reader.ReaderError as error:
         raise ValueError(f"{file} is not YAML: {error.reason}.") from error
     except yaml.MarkedYAMLError as error:
         place = f"line {error.problem_mark.line + 1}, column {error.problem_mark.column + 1}"
         raise ValueError(f"{file}, {place} is not YAML: {error.problem}.") from error
+
+
+def _checked_value(loader: Any, kind: str) -> Any:
+    """Return a constructor of PyYAML that refuses malformed values in the words of its errors."""
+    own = loader.yaml_constructors[f"tag:yaml.org,2002:{kind}"]
+    error = import_module("yaml").constructor.ConstructorError
+
+    def construct(loader: Any, node: Any) -> Any:
+        try:
+            return own(loader, node)
+        except (AttributeError, LookupError, ValueError) as cause:
+            words = f"{shortened(node.value)} is not a value of the type {kind}"
+            raise error(None, None, words, node.start_mark) from cause
+
+    return construct
 
 
 _FORMATS = {
@@ -400,16 +427,28 @@ def _safe(question: JointLoop) -> PD | None:
 # Robot files, as MuJoCo reads them.
 
 
+@contextmanager
+def _mujoco_warnings() -> Iterator[None]:
+    """Pass MuJoCo's warnings on to Python; by default they go to MUJOCO_LOG.TXT in this folder."""
+    former, heard = mujoco.get_mju_user_warning(), list[str]()
+    mujoco.set_mju_user_warning(heard.append)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(former)
+    for words in dict.fromkeys(heard):
+        warnings.warn(f"MuJoCo: {words}", stacklevel=4)
+
+
 def model_of(robot: Any) -> Any:
     """The model of a file, or a copy of one; of URDF neither shapes nor meshes are read."""
-    optional("mujoco")
     if isinstance(robot, mujoco.MjModel):
         return copy(robot)
     if not isinstance(robot, str | PathLike):
         raise TypeError(f"robot is {shortened(robot)}; give a file name or a mujoco.MjModel.")
     try:
         root = ElementTree.fromstring(text_of(robot, MOST_BYTES))
-        if root.tag != "robot":
+        if root.tag != "robot" and os.path.isfile(robot):  # a pipe is read once
             return mujoco.MjModel.from_xml_path(str(robot))
         for link in root.iter("link"):
             for shape in [*link.findall("visual"), *link.findall("collision")]:
@@ -599,7 +638,11 @@ def _inertias(model: Any, postures: int) -> tuple[np.ndarray, np.ndarray]:
         mujoco.mj_fwdPosition(model, data)
         for row, unit in zip(mass, units, strict=True):
             mujoco.mj_mulM(model, data, row, unit)
-        least = np.minimum(least, 1.0 / np.diag(np.linalg.inv(mass)))
+        try:
+            with np.errstate(all="ignore"):  # infinite, which is refused below
+                least = np.minimum(least, 1.0 / np.diag(np.linalg.inv(mass)))
+        except np.linalg.LinAlgError:  # some motion has no inertia, which is refused below
+            least[:] = 0.0
         greatest = np.maximum(greatest, np.diag(mass))
     if not (model.nv and np.all((least > 0.0) & np.isfinite(greatest))):
         raise ValueError(

@@ -35,6 +35,7 @@ from jaxstab.model.device.discrete import (
     checked_discrete,
 )
 from jaxstab.model.device.parts import (
+    HIGHEST_ORDER,
     Coefficients,
     MassSpringDamper,
     Mode,
@@ -248,6 +249,9 @@ class Device:
         mass.
         """
         given: Any = modes if isinstance(modes, Sequence) else [modes]
+        most = HIGHEST_ORDER // 2 - (mass is not None)
+        if len(given) > most:
+            raise ValueError(f"modes has {len(given)} modes; give {most} at most.")
         for mode in given:
             if not isinstance(mode, Mode):
                 words = f"modes has {shortened(mode)}; give jaxstab.Mode(...) for each mode."
