@@ -42,7 +42,7 @@ def main() -> int:
     choice = parser.parse_args()
     folder = choice.out / "small" if choice.small else choice.out
     if choice.name == "jitter":
-        return import_module("benchmarks.jitter").main(choice.small, choice.points)
+        return import_module("benchmarks.jitter").main(choice.small, choice.points, choice.out)
     if choice.name == "table":
         print(table.markdown(record.read_all(folder)))
         return 0

@@ -7,7 +7,8 @@ with the delays that were found, as far as these are whole parts of a sample; al
 range of one delay the verdicts are those of the constant delay.
 
 The table has the largest stiffness that is proved at some dampings, beside that of the best
-sequence found against it and of every constant delay.
+sequence found against it and of every constant delay. The first row of the record has the counts of
+the attacks, the others are those of the table.
 """
 
 from collections import Counter
@@ -20,6 +21,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import jaxstab
+from benchmarks import record
+from benchmarks.table import DAMPINGS, moving_delays
 from benchmarks.truth.moving import LOST, Moving, growth
 from jaxstab import HapticLoop, Velocity, Verdict
 from jaxstab.loop.jitter import MovingLoop
@@ -31,6 +34,7 @@ _SIDE_BY_SIDE, _TURN, _TURNS = 24, 12, 40  # sequences, samples of a turn, turns
 _ROUNDS = 3  # of changes
 _T = 1e-3
 _QUICK, _THOROUGH = 10, 4  # bisections towards the lowest stiffness that grows
+_LOOPS = 300
 _NEAR = (0.8, 0.98, 1.2, 1.6)  # times the largest stiffness proved: walls that are judged
 
 
@@ -49,16 +53,18 @@ class Case(NamedTuple):
         return self.low * _T / _PARTS, self.high * _T / _PARTS
 
 
-def main(small: bool, points: int | None = None) -> int:
-    """Print what the attacks found, and the table; the number of wrong verdicts."""
+def main(small: bool, points: int | None, folder: Path) -> int:
+    """Attack, write the record and the table of docs/accuracy.md; the number of wrong verdicts."""
     rng = np.random.default_rng(34)
     counts: Counter[str] = Counter()
-    for _ in range(2 if small else points or 300):
+    for _ in range(2 if small else points or _LOOPS):
+        counts["loops"] += 1
         counts.update(judged(random_case(rng), rng))
     wrong = counts["STABLE that grow"] + counts["UNSTABLE that decay"] + counts["constant, differ"]
     print(", ".join(f"{name}: {count:,}" for name, count in sorted(counts.items())))
-    for line in table(small):
-        print(line)
+    made = record.new_record("jitter", small, [dict(counts), *shares(small)])
+    print(moving_delays([made]))
+    record.write(made, folder)
     if not small:
         picture()
     return wrong
@@ -190,20 +196,29 @@ def largest(verdict: Callable[[float], Any], most: float) -> float:
     return low
 
 
-def table(small: bool) -> Iterator[str]:
-    """Yield lines: the stiffness proved, that of the best sequence found, and their quotient."""
-    yield "| loop | delays (samples) | B (N s/m) | proved K | K that grows | share |"
-    yield "|---|---|---|---|---|---|"
+def shares(small: bool) -> Iterator[record.Row]:
+    """Yield rows of the table: the stiffness proved, and that of the best sequence found."""
     for window in (20,) if small else (1, 5, 10, 20):
         for low, high in ((0.8, 1.2),) if small else ((1.0, 1.1), (0.8, 1.2), (1.0, 2.0)):
             loop = omega(window, low)
             stiffest = replace(loop, delay=high * _T).limits()
-            for share in (1.0,) if small else (0.4, 1.0, 2.0):
-                yield _line(loop, window, (low, high), share * stiffest.at_damping)
+            for factor in DAMPINGS:
+                damping = factor * stiffest.at_damping
+                proved, grows = stiffnesses(loop, (low * _T, high * _T), damping)
+                yield {
+                    "window": window,
+                    "delays": f"{low:g} to {high:g}",
+                    "factor": factor,
+                    "damping": damping,
+                    "proved": proved,
+                    "grows": grows,
+                }
 
 
-def _line(loop: HapticLoop, window: int, samples: tuple[float, float], damping: float) -> str:
-    delays = samples[0] * _T, samples[1] * _T
+def stiffnesses(
+    loop: HapticLoop, delays: tuple[float, float], damping: float
+) -> tuple[float, float]:
+    """The largest K that is proved at this damping, and the least with a sequence that grows."""
     proved = largest(lambda k: loop.verdict(k, damping, delays=delays), loop.limits().stiffness)
     low, high = proved, 2.0 * loop.limits().stiffness
     for number in range(_QUICK + _THOROUGH):
@@ -214,8 +229,4 @@ def _line(loop: HapticLoop, window: int, samples: tuple[float, float], damping: 
             grows = loop.worst_delays(middle, damping, delays=delays).is_proved
         low, high = (low, middle) if grows else (middle, high)
         low = proved if number == _QUICK - 1 else low
-    which = f"window of {window}"
-    return (
-        f"| {which} | {samples[0]:g} to {samples[1]:g} | {damping:.3g} | {proved:.0f} "
-        f"| {high:.0f} | {100 * proved / high:.1f} % |"
-    )
+    return proved, high

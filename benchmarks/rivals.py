@@ -46,7 +46,7 @@ _EXAMPLE = (
 )
 _T = 1e-3  # s
 _BATCH, _RUNS = 1000, 3
-_MISSED = 0.01  # an end this far off is another crossing, or none
+MISSED = 0.01  # an end this far off is another crossing, or none
 _SCAN = 1000  # eigenvalues between two doublings of the gain
 
 Parts = list[plain.Falling]
@@ -159,9 +159,9 @@ def _rows(group: str, cases: list[Case], budget: float, batch: int, *, runs: int
             MEASURE,
             points=one.loops,
             cpu_seconds_per_loop=ends[name].cpu_median / one.loops,
-            missed=sum(error > _MISSED for error in errors),
+            missed=sum(error > MISSED for error in errors),
             judged=len(cases),
-            largest_error_found=max((e for e in errors if e <= _MISSED), default=1.0),
+            largest_error_found=max((e for e in errors if e <= MISSED), default=1.0),
             lines=one.lines,
             **(_verdicts(one, judged[name], stable) if one.verdicts else {}),
             **({"first_seconds": median(fresh)} if fresh else {}),

@@ -30,6 +30,8 @@ _DEGREES = ("degree 25", "degree 205", "degree 485")  # of loops in balls
 _OWN_REGIONS = ("stable_region", "regions_of")
 _POLYNOMIALS = ("degree 10", "degree 10, clustered", "degree 40", "degree 40, clustered")
 
+DAMPINGS = 0.4, 1.0, 2.0  # of walls with delays that move, times that of the largest stiffness
+
 # What the tools of README's table need; fields of a row of that tool fill the braces.
 _NEEDS = {
     "jaxstab": "the device's numbers, {lines} lines; proved; starts in {first}",
@@ -44,7 +46,7 @@ Line = tuple[str, str, str, str, str]
 
 def markdown(records: list[Record]) -> str:
     """Return the table of the machine that has the most records, under the machine's name."""
-    chosen = _of_one_machine(records)
+    chosen = of_one_machine(records)
     lines = [
         line for name in _LINES if name in chosen for line in _LINES[name](chosen[name]["rows"])
     ]
@@ -54,7 +56,7 @@ def markdown(records: list[Record]) -> str:
 
 def rivals(records: list[Record], *, brief: bool = False) -> str:
     """The times of tools for a loop, and their errors; the brief table is README's."""
-    found = _of_one_machine(records)["rivals"]["rows"]
+    found = of_one_machine(records)["rivals"]["rows"]
     groups = list(_grouped(found, "section"))
     tools = {
         name: {row["section"]: row for row in some}
@@ -90,7 +92,7 @@ def _end(rows: list[Row]) -> tuple[str, str]:
     return _time(seconds / loops), "; ".join(said)
 
 
-def _of_one_machine(records: list[Record]) -> dict[str, Record]:
+def of_one_machine(records: list[Record]) -> dict[str, Record]:
     """The records of the machine that has the most, by benchmark."""
     machines = Counter(one["machine"]["name"] for one in records)
     machine = machines.most_common(1)[0][0]
@@ -104,8 +106,12 @@ def put_into_pages(records: list[Record]) -> None:
     if any(one["benchmark"] == "resolution" for one in records):
         of_readme["resolutions"] = resolutions(records)
     of_page = {"rivals": rivals(records), "benchmarks": markdown(records)}
+    if any(one["benchmark"] == "loops" for one in records):
+        of_page["unresolved"] = unresolved(records)
     if devices:
         of_page["devices"] = accelerated(devices)
+    if any(one["benchmark"] == "jitter" for one in records):
+        of_page["delays"] = moving_delays(records)
     put_between(README, "table of {}: {}", of_readme)
     put_between(PAGE, "table of {}: {}", of_page)
 
@@ -189,6 +195,30 @@ def accelerated(records: list[Record]) -> str:
             lines.append((task, name, *times, ratio, _error(device["error"])))
     head = "task", "device", "per point", "per point, two cores", "ratio", "contradictions"
     return of_cells(head, lines)
+
+
+def moving_delays(records: list[Record]) -> str:
+    """Return the table of the stiffness that is proved for every sequence of delays, in percent."""
+    (one,) = (record for record in records if record["benchmark"] == "jitter")
+    lines: dict[tuple[str, str], dict[float, str]] = {}
+    for row in one["rows"][1:]:
+        share = f"{100.0 * row['proved'] / row['grows']:.1f}" if row["proved"] else "-"
+        lines.setdefault((str(row["window"]), row["delays"]), {})[row["factor"]] = share
+    names = ("B" if factor == 1.0 else f"{factor:g} B" for factor in DAMPINGS)
+    cells = ((*loop, *(some[factor] for factor in DAMPINGS)) for loop, some in lines.items())
+    return of_cells(("window", "delays (samples)", *names), cells)
+
+
+def unresolved(records: list[Record]) -> str:
+    """Return the table of the random loops whose regions stay UNRESOLVED."""
+    rows = of_one_machine(records)["loops"]["rows"]
+    lines = [
+        (row["section"].removeprefix("points of regions").strip() or "of one mass",
+         f"{row['repeats']:,}", str(row["unresolved"]))
+        for row in rows
+        if row["method"] == "stable_region"
+    ]  # fmt: skip
+    return of_cells(("loops with estimators and filters", "regions", "UNRESOLVED"), lines)
 
 
 def _answers(rows: list[Row]) -> Iterator[Line]:

@@ -18,25 +18,28 @@ with 1. K T / (2 b) is what the hold gives beside what viscous damping takes, K 
 encoder gives beside what friction takes. Diolaiti et al. (2006) describe regions of such effects;
 theirs were not seen, and these are simulated.
 
-`python docs/contact.py [--small]` prints the tables of docs/contact.md and draws its picture.
+`python -m docs.contact [--small]` writes its record to benchmarks/results and its tables into
+docs/contact.md, and draws the picture there; small runs only print.
 """
 
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from time import perf_counter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks import record
+from benchmarks.table import of_cells, put_between
 from jaxstab import HapticLoop, Velocity, Verdict
 from jaxstab.results import Contact
 
-PICTURE = Path(__file__).with_suffix(".png")
+PAGE = Path(__file__).with_suffix(".md")
+MARKER = "written by python -m docs.contact: {} {}"
 _T = 1e-3
-_DEVICES, _SMALL_DEVICES = 300, 3
-_WALLS, _STARTS = 40, 84  # of a device, and of a wall: 1e6 runs of 300 devices
+_DEVICES, _SMALL_DEVICES = 30, 3
+_WALLS, _STARTS = 40, 84  # of a device, and of a wall
 _ROUNDS = 3  # of starts, the later ones around the worst
 _DURATION = 2.0  # s
 _SLOWEST = 0.985  # spectral radius of the stable walls whose amplitudes are judged
@@ -46,6 +49,11 @@ _BINS = (0.0, 0.03, 0.1, 0.3, 1.0)  # N of friction
 _RATIOS = 400  # runs of a device, by the ratios of the second rule
 _BUZZ = 2.0  # steps of the encoder
 _GRID = 90  # walls on an axis of the picture
+_RULES = {
+    "STABLE in jaxstab": "STABLE",
+    "K T/2 + B < b (Colgate, Schenkel 1997)": "passive",
+    "K ≤ min(2 b/T, 2 f_c/q) (Abbott, Okamura 2005)": "abbott",
+}
 
 
 class Device(NamedTuple):
@@ -59,22 +67,24 @@ class Device(NamedTuple):
 
 
 def main(small: bool) -> int:
-    """Print what was found for so many devices; how many amplitudes exceeded their bound."""
+    """Count what becomes of contacts; return how many amplitudes exceed their bound."""
     rng = np.random.default_rng(36)
     counts: Counter[str] = Counter()
-    start, widest = perf_counter(), 0.0
+    widest = 0.0
     for _ in range(_SMALL_DEVICES if small else _DEVICES):
         device = random_device(rng, 12 if small else _WALLS)
+        counts["devices"] += 1
         above, runs, share = amplitudes(device, rng, 6 if small else _STARTS)
         counts.update({"above": above, "bounded": runs})
         widest = max(widest, share)
         counts.update(ends(device, rng, 6 if small else _STARTS))
-    seconds = perf_counter() - start
-    counts.update(by_ratio(2 if small else _DEVICES // 5, 40 if small else _RATIOS))
-    for line in table(counts, widest):
-        print(line)
-    print(f"{counts['bounded'] + counts['runs']:,} runs of {_DURATION:g} s in {seconds:.0f} s")
+    counts.update(by_ratio(2 if small else _DEVICES, 40 if small else _RATIOS))
+    found = {**counts, "above": counts["above"], "largest_share_of_bound": widest}
+    print(*tables(found).values(), sep="\n\n")
+    print(f"amplitudes above the proved bound: {counts['above']} of {counts['bounded']:,}")
     if not small:
+        record.write(record.new_record("contact", small, [found]), record.RESULTS)
+        put_between(PAGE, MARKER, tables(found))
         draw()
     return counts["above"]
 
@@ -182,45 +192,40 @@ def _does_rest(contact: Contact) -> np.ndarray:
     return np.isfinite(contact.time_to_rest)
 
 
-def table(counts: Counter[str], widest: float) -> Iterator[str]:
-    """Lines of two tables in Markdown."""
-    yield (
-        f"Amplitudes above the proved bound: {counts['above']} of {counts['bounded']:,} runs; the "
-        f"largest was {100.0 * widest:.0f} % of its bound."
-    )
-    yield ""
-    yield "| friction in N | stable, rests | unstable, rests |"
-    yield "|---|---|---|"
+def tables(counts: Mapping[str, Any]) -> dict[str, str]:
+    """The tables of the page in Markdown, by name."""
+    frictions = []
     for number, high in enumerate(_BINS):
         name = "0" if number == 0 else f"{_BINS[number - 1]:g} to {high:g}"
-        shares = (_share(counts, f"{code} {number}") for code in ("STABLE", "UNSTABLE"))
-        yield f"| {name} | {' | '.join(shares)} |"
-    yield ""
-    yield "| rule | walls that it accepts | of these, rest | of those that rest, accepted |"
-    yield "|---|---|---|---|"
-    rules = {
-        "STABLE in jaxstab": "STABLE",
-        "K T/2 + B < b": "passive",
-        "K <= min(2 b/T, 2 f_c/q)": "abbott",
+        frictions.append(
+            (name, *(_share(counts, f"{code} {number}") for code in ("STABLE", "UNSTABLE")))
+        )
+    accepted = []
+    for words, name in _RULES.items():
+        share = counts[name] / counts["all"]
+        found = counts.get(f"{name} rests", 0) / counts["all rests"]
+        accepted.append((words, f"{share:.1%}", _share(counts, name), f"{found:.1%}"))
+    ratios = []
+    for is_held in (1, 0):
+        for is_counted in (1, 0):
+            name = f"ratios {is_held}{is_counted}"
+            sides = ("up to 1" if is_small else "above 1" for is_small in (is_held, is_counted))
+            ends = (_share(counts, name, end) for end in ("rests", "buzzes", "moves"))
+            ratios.append((*sides, *ends))
+    buzz = f"buzz by {_BUZZ:g} steps at most"
+    return {
+        "frictions": of_cells(("friction in N", "stable, rests", "unstable, rests"), frictions),
+        "rules": of_cells(
+            ("rule", "walls that it accepts", "of these, rest", "of those that rest, accepted"),
+            accepted,
+        ),
+        "ratios": of_cells(("K T/(2 b)", "K q/(2 f_c)", "rest", buzz, "move further"), ratios),
     }
-    for words, name in rules.items():
-        accepted = counts[name] / max(counts["all"], 1)
-        found = counts[f"{name} rests"] / max(counts["all rests"], 1)
-        yield f"| {words} | {100 * accepted:.1f} % | {_share(counts, name)} | {100 * found:.1f} % |"
-    yield ""
-    yield f"| K T/(2 b) | K q/(2 f_c) | rest | buzz by {_BUZZ:g} steps at most | move further |"
-    yield "|---|---|---|---|---|"
-    for held, counted in ((1, 1), (1, 0), (0, 1), (0, 0)):
-        name = f"ratios {held}{counted}"
-        ends = (_share(counts, name, end) for end in ("rests", "buzzes", "moves"))
-        sides = " | ".join("up to 1" if is_small else "above 1" for is_small in (held, counted))
-        yield f"| {sides} | {' | '.join(ends)} |"
 
 
-def _share(counts: Counter[str], name: str, end: str = "rests") -> str:
-    if not counts[name]:
-        return "none"
-    return f"{100.0 * counts[f'{name} {end}'] / counts[name]:.1f} % of {counts[name]:,}"
+def _share(counts: Mapping[str, Any], name: str, end: str = "rests") -> str:
+    total = counts.get(name, 0)
+    return f"{counts.get(f'{name} {end}', 0) / total:.1%} of {total:,}" if total else "none"
 
 
 def draw() -> None:
@@ -243,7 +248,7 @@ def draw() -> None:
         )
         for friction in (0.0, 0.03, 0.1)
     }
-    contact_figure(loop, walls, maps).savefig(PICTURE, dpi=130)
+    contact_figure(loop, walls, maps).savefig(PAGE.with_suffix(".png"), dpi=130)
 
 
 if __name__ == "__main__":

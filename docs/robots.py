@@ -1,17 +1,22 @@
-"""Print the table of docs/robots.md: joints of robots from packages that ship their files.
+"""The table of docs/robots.md: joints of robots from packages that ship their files.
 
 python -m pip install --no-deps --target robots robosuite dm-control example-robot-data
-PYTHONPATH=robots python docs/robots.py
+PYTHONPATH=robots python -m docs.robots
+
+writes the record to benchmarks/results and the table into the page.
 """
 
-from importlib.metadata import distribution
+from importlib.metadata import distribution, version
+from pathlib import Path
 from time import process_time
 
-import mujoco
-
 import jaxstab
+from benchmarks import record
+from benchmarks.table import of_cells, put_between
 from jaxstab.results import Joints
 
+PAGE = Path(__file__).with_suffix(".md")
+MARKER = "written by python -m docs.robots: {} {}"
 LOOP = {"rate": 500.0, "delay": 2e-3}
 GAINS = {"kp": 40.0, "kd": 2.0}  # of files that have none
 ROBOTS = {
@@ -53,7 +58,7 @@ def asked(file: str) -> tuple[Joints, bool, float]:
     return answer, has_own, process_time() - start
 
 
-def row(robot: str, package: str, file: str) -> str:
+def row(robot: str, package: str, file: str) -> record.Row:
     answer, has_own, seconds = asked(file)
     joints = answer.joints.values()
     judged = [joint for joint in joints if joint.kp_growth is not None]
@@ -61,37 +66,61 @@ def row(robot: str, package: str, file: str) -> str:
     if has_own:
         left_out -= sum(joint.verdict == "no gains" for joint in joints)
     asked_for = judged or [joint for joint in joints if joint.verdict != "it moves freely"]
-    light = min(joint.inertia[0] for joint in asked_for)
-    heavy = max(joint.inertia[1] for joint in asked_for)
-    missing = max((joint.missing_armature for joint in judged), default=0.0)
-    inside = "-"
+    simulated = None
     if has_own:
-        try:
-            simulated = jaxstab.joints(file, simulated=True).joints.values()
-            inside = str(sum(joint.is_stable for joint in simulated))
-        except ValueError:
-            inside = "RK4"
-    cells = [
-        robot,
-        package,
-        len(joints),
-        len(judged),
-        left_out,
-        f"{light:.1e} to {heavy:.1e}",
-        "its own" if has_own else "40, 2",
-        sum(joint.is_stable for joint in judged),
-        f"{missing:.1e}" if missing else "0",
-        inside,
-        f"{seconds:.1f}",
-    ]
-    return f"| {' | '.join(map(str, cells))} |"
+        of_file = jaxstab.joints(file, simulated=True).joints.values()
+        simulated = sum(joint.is_stable for joint in of_file)
+    return {
+        "robot": robot,
+        "package": package,
+        "joints": len(joints),
+        "judged": len(judged),
+        "left_out": left_out,
+        "least_inertia": min(joint.inertia[0] for joint in asked_for),
+        "greatest_inertia": max(joint.inertia[1] for joint in asked_for),
+        "has_own_gains": has_own,
+        **GAINS,
+        "stable": sum(joint.is_stable for joint in judged),
+        "missing_armature": max((joint.missing_armature for joint in judged), default=0.0),
+        "simulated_stable": simulated,
+        "cpu_seconds": seconds,
+        "mujoco": version("mujoco"),
+    }
 
 
-if __name__ == "__main__":
-    print(f"MuJoCo {mujoco.__version__}")
+def table(rows: list[record.Row]) -> str:
+    lines = []
+    for one in rows:
+        missing, simulated = one["missing_armature"], one["simulated_stable"]
+        cells = (
+            *(one[key] for key in ("robot", "package", "joints", "judged", "left_out")),
+            f"{one['least_inertia']:.1e} to {one['greatest_inertia']:.1e}",
+            "its own" if one["has_own_gains"] else f"{one['kp']:g}, {one['kd']:g}",
+            one["stable"],
+            f"{missing:.1e}" if missing else "0",
+            "-" if simulated is None else simulated,
+            f"{one['cpu_seconds']:.1f}",
+        )
+        lines.append([str(cell) for cell in cells])
+    heading = (
+        *("robot", "package", "joints", "judged", "left out", "inertia (kg m², kg)", "kp, kd"),
+        *("stable", "missing armature, at most", "stable in the file's own step", "CPU s"),
+    )
+    return of_cells(heading, lines)
+
+
+def main() -> None:
+    rows = []
     for name, robots in ROBOTS.items():
         package = distribution(name)
         files = [str(package.locate_file(path)) for path in package.files or ()]
         for robot, ending in robots.items():
             file = next(path for path in files if path.endswith(ending))
-            print(row(robot, f"{name} {package.version}", file), flush=True)
+            rows.append(row(robot, f"{name} {package.version}", file))
+            print(rows[-1], flush=True)
+    record.write(record.new_record("robots", False, rows), record.RESULTS)
+    put_between(PAGE, MARKER, {"robots": table(rows)})
+
+
+if __name__ == "__main__":
+    main()

@@ -8,10 +8,12 @@ from collections.abc import Iterator
 from operator import attrgetter
 from pathlib import Path
 
+import numpy as np
 import pytest
 from calls import COMPUTING_CALLS, PUBLIC
 from campaign import some
 from commands import run, run_code
+from scipy.linalg import expm
 from transforms import ESTIMATORS, check_values, rows, with_estimator
 
 import jaxstab
@@ -152,6 +154,36 @@ def test_the_tables_of_accuracy_are_those_of_the_records() -> None:
     records, page = record.read_all(record.RESULTS), (DOCS / "accuracy.md").read_text("utf-8")
     assert table.rivals(records) in page
     assert table.markdown(records) in page
+
+
+def test_interpolated_forces_are_late_by_half_a_period() -> None:
+    """The limit of such a loop, by its own step matrix, and of loops with more delay (the FAQ)."""
+    period, mass, damping = 1.0 / 60.0, 0.25, 0.1
+    rates = np.array([[0, 1, 0, 0], [0, -damping / mass, 1 / mass, 0], [0, 0, 0, 1], [0, 0, 0, 0]])
+    step = expm(rates * period)[:2]  # of position, velocity, force and its slope
+
+    def is_stable(stiffness: float, wall_damping: float) -> bool:
+        """With the last position and the last force as states."""
+        by_difference = wall_damping / period
+        force = np.array([-stiffness - by_difference, 0.0, by_difference, 0.0])
+        last_force = np.eye(4)[3]
+        acting = np.vstack([np.eye(4)[:2], last_force, (force - last_force) / period])
+        loop = np.vstack([step @ acting, np.eye(4)[0], force])
+        return bool(abs(np.linalg.eigvals(loop)).max() < 1.0)
+
+    dampings, stiffnesses = np.linspace(8.0, 9.0, 21), np.linspace(1.0, 300.0, 300)
+    largest = max(
+        next(k for k in stiffnesses if not is_stable(k, b)) - 1.0 for b in dampings.tolist()
+    )
+    half, whole = (
+        jaxstab.HapticLoop(
+            device_mass=mass, device_damping=damping, sample_time=period, delay=periods * period
+        ).limits()
+        for periods in (0.5, 1.0)
+    )
+    assert largest == pytest.approx(250.0, abs=1.0)
+    assert half.stiffness == pytest.approx(largest, rel=0.03)
+    assert whole.stiffness < 0.6 * largest
 
 
 def test_included_files_are_there() -> None:
