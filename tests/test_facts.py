@@ -62,6 +62,7 @@ def test_a_number_that_differs_from_its_record_is_found(
         *("It takes 2.7 s of CPU time.", "The first trace takes\n17 s.", "It needs 0.6 GB."),
         *("It is 2 times faster.", "1 % are undecided.", "Of 250 loops none was wrong."),
         *("A region of 10,000 samples each.", "| limits | 1.3 ms |", "It is stable up to 245 N/m."),
+        *("It is more than a thousand times faster.", "It takes a third of the time."),
         *("The scripts have 2,500 lines.", "Of 10^8 calls the slowest took 0.19 us."),
     ],
 )
