@@ -202,7 +202,7 @@ def tables(counts: Mapping[str, Any]) -> dict[str, str]:
         )
     accepted = []
     for words, name in _RULES.items():
-        share = counts[name] / counts["all"]
+        share = counts.get(name, 0) / counts["all"]
         found = counts.get(f"{name} rests", 0) / counts["all rests"]
         accepted.append((words, f"{share:.1%}", _share(counts, name), f"{found:.1%}"))
     ratios = []
