@@ -63,6 +63,11 @@ class Printed(float):
         number.text = text
         return number
 
+    @property
+    def shown(self) -> "Printed":
+        """The number that the text says."""
+        return Printed(float(self.text), self.text)
+
 
 def exact_text(value: float) -> str:
     """Return a number with all of its digits, the fewest that tell it from its neighbours."""

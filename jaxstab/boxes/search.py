@@ -134,13 +134,13 @@ class RobustStatus(Status):
 
 
 class RobustLimit(NamedTuple):
-    """The stiffest wall for all hands of a range, in SI units; NaN where there is none.
+    """A wall that is proved for all hands of a range, in SI units; NaN where none was proved.
 
     Attributes:
-        stiffness: K of a wall 1 % below the stiffest wall of the search, or up to 8 % below where
-            the proof failed closer to it.
+        stiffness: K of a wall 1 % below the stiffest wall of the search, or farther below where
+            the proof fails closer to it.
         damping: B of that wall.
-        is_proved: True if that wall is proved stable for every hand.
+        is_proved: True if there is that wall, proved stable for every hand.
         limit: the largest stiffness with B >= 0 that was found in the exact stable regions of all
             tried hands: computed, not proved. With an estimator or a filter it is that of the
             components with small gains.
@@ -161,9 +161,9 @@ class RobustLimit(NamedTuple):
 
     def __repr__(self) -> str:
         wall = f"K = {exact_text(self.stiffness)} N/m at B = {exact_text(self.damping)} N s/m"
-        words = "proved for all hands" if self.is_proved else "not proved for all hands"
+        words = f"{wall}, proved for all hands" if self.is_proved else "no wall is proved"
         limit = number_text(self.limit, 5, unit="N/m")
-        return f"RobustLimit: {wall}, {words}\n  limit of hands tried  {limit}, {self.loop!r}"
+        return f"RobustLimit: {words}\n  limit of hands tried  {limit}, {self.loop!r}"
 
 
 class Guess(NamedTuple):

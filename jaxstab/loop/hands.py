@@ -33,7 +33,7 @@ from jaxstab.boxes.search import (
 )
 from jaxstab.conventions import Range, Verdict
 from jaxstab.exact import rough_radius
-from jaxstab.loop.jitter import MovingLoop
+from jaxstab.loop.jitter import MovingLoop, stiffest_proved
 from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
 from jaxstab.model.balls import ball_triple
 from jaxstab.model.device.parts import MassSpringDamper, Modes
@@ -139,10 +139,9 @@ class LoopsWithHands:
 
     def robust_limit(self) -> RobustLimit:
         """The stiffest wall that all of them allow: ``HapticLoop.robust_limit``."""
-        loops = self.corners
-        tried = [*loops]  # those that refute a wall join them
         if self.moving:
-            tried = [replace(loop, delay=d) for d in self.moving["delays"] for loop in loops]
+            return self._limit_of_moving()
+        tried = self.corners  # those that refute a wall join them
 
         def unproved(walls: Points) -> list[WorstHand]:
             hand = self.worst(*walls[0].tolist())
@@ -156,18 +155,34 @@ class LoopsWithHands:
 
         found, is_proved = search(partial(_stiffest_wall, tried), unproved, add, PULLS)
         guess = found or NOTHING
-        stiffness, damping = guess.walls[0].tolist() if len(guess.walls) else (nan, nan)
-        limit = RobustLimit(stiffness, damping, is_proved, guess.limit, guess.loop or tried[0])
-        if limit.is_proved or not self.moving:
-            return limit
-        # Constant delays may allow much more than is proved: shares of one hand's limit are next.
-        own = loops[0].limits(**self.moving)
-        for share in (1.0, 0.95, 0.9, 0.8, 0.65, 0.5) if own.stiffness > 0.0 else ():
-            stiffness = share * own.stiffness
-            worst = self.worst(stiffness, own.damping)
-            if worst.verdict == Verdict.STABLE:
-                return RobustLimit(stiffness, own.damping, True, limit.limit, limit.loop)
-        return limit
+        wall = _wall_of(guess)
+        if not is_proved:
+            wall = self._proved_below(wall, (0.8, 0.5, 0.2))
+        return RobustLimit(*wall, wall[0] > 0.0, guess.limit, guess.loop or tried[0])
+
+    def _limit_of_moving(self) -> RobustLimit:
+        """The same for delays that move: the stiffest wall of the corners, proved for all."""
+        loops = [replace(loop, delay=d) for d in self.moving["delays"] for loop in self.corners]
+        guess = _stiffest_wall(loops, 0.0) or NOTHING  # bounds the search: of constant delays
+        moving = [MovingLoop.from_loop(loop, **self.moving) for loop in self.corners]
+
+        def is_proved(stiffness: float, damping: float) -> bool:
+            for k, loop in enumerate(moving):
+                if not loop.is_proved(stiffness, damping):
+                    moving.insert(0, moving.pop(k))  # which mostly denies the next wall, too
+                    return False
+            return True
+
+        wall = stiffest_proved(is_proved, guess.limit, _wall_of(guess)[1])
+        wall = self._proved_below(wall, (1.0, 0.99, 0.95, 0.9, 0.8, 0.65, 0.5, 0.3, 0.1))
+        return RobustLimit(*wall, wall[0] > 0.0, guess.limit, guess.loop or loops[0])
+
+    def _proved_below(self, wall: Wall, shares: Sequence[float]) -> Wall:
+        """The first wall that is proved, of some shares of the stiffness; NaN if none is."""
+        stiffness, damping = wall
+        tried = ((share * stiffness, damping) for share in shares if stiffness > 0.0)
+        proved = (wall for wall in tried if self.worst(*wall).verdict == Verdict.STABLE)
+        return next(proved, (nan, nan))
 
     def jitter_margin(self, stiffness: float, damping: float) -> float:
         """The proved range of the delay for all of them, in s: ``HapticLoop.jitter_margin``."""
@@ -330,6 +345,12 @@ def _stiffest_wall(loops: "Sequence[HapticLoop]", pull: float) -> Guess | None:
     row = np.array([damping])
     tops = {loop: region.stiffness_limits(row)[0, 1] for loop, region in regions.items()}
     return Guess(np.array([[stiffness, damping]]), limit, min(tops, key=lambda loop: tops[loop]))
+
+
+def _wall_of(guess: Guess) -> Wall:
+    """The one wall of a guess; NaN without."""
+    stiffness, damping = guess.walls[0].tolist() if len(guess.walls) else (nan, nan)
+    return stiffness, damping
 
 
 def _common_rows(regions: Sequence[WallRegion]) -> tuple[float, float]:

@@ -38,6 +38,7 @@ from jaxstab.rounding import EPS
 from jaxstab.shown import exact_text, shortened
 
 # ----------------------------------------------------------------------------------- delays in turn
+Proved = Callable[[float, float], bool]  # of a wall
 Turn = tuple[float, ...]  # of delays in samples; infinite for a sample that is lost
 
 _QUICK, _THOROUGH = 4, 7  # the longest patterns
@@ -297,24 +298,9 @@ class MovingLoop(NamedTuple):
 
     def limits(self) -> MovingLimits:
         """Return the stiffest proved wall that a search finds: ``HapticLoop.limits``."""
-        dampings = 1.0, 2.0, *(0.5 ** np.arange(1, 8))  # of the best one of the longest delay
-        steps = 0.5 ** np.arange(1, 11)  # of the damping
-        fine, finest = 0.03, 1e-5  # differences of the stiffness that count: of a step, and at last
-        # From the stiffest of some walls the search climbs: to dampings at which walls that are a
-        # little stiffer are proved.
         longest = self._longest()
-        best, at = 0.0, nan
-        for damping in dict.fromkeys(share * longest.at_damping for share in dampings):
-            first = self._first(best, damping, longest.stiffness)
-            best, at = (first, damping) if first > best else (best, at)
-        if not best:
-            return MovingLimits(nan, nan, nan)
-        for step in steps.tolist():
-            for damping in (at, at * (1.0 + step), at / (1.0 + step)):
-                raised = self._raised(best, damping, fine * step)
-                best, at = (raised, damping) if raised > best else (best, at)
-        best = self._raised(best, at, finest)
-        return MovingLimits(best, at, self._lowest_unstable(best, at))
+        best, at = stiffest_proved(self.is_proved, longest.stiffness, longest.at_damping)
+        return MovingLimits(best, at, self._lowest_unstable(best, at) if best > 0.0 else nan)
 
     def stiffest_walls(
         self, stable: Iterable[tuple[float, float]] = ()
@@ -327,9 +313,9 @@ class MovingLoop(NamedTuple):
         starts = dict.fromkeys((longest.damping * shares).tolist(), 0.0)
         starts |= {damping: stiffness for stiffness, damping in sorted(stable)}
         for damping, stiffness in sorted(starts.items()):
-            first = self._first(stiffness, damping, longest.stiffness)
+            first = _first(self.is_proved, stiffness, damping, longest.stiffness)
             if first > 0.0:
-                walls.append((self._raised(first, damping, column), damping))
+                walls.append((_raised(self.is_proved, first, damping, column), damping))
         unstable = [(self._lowest_unstable(*wall), wall[1]) for wall in walls[::every]]
         return np.reshape(walls, (-1, 2)), np.reshape(unstable, (-1, 2))
 
@@ -350,24 +336,6 @@ class MovingLoop(NamedTuple):
         """Return the limits of the longest delay: no wall that it makes unstable is proved."""
         return wall_region(replace(self.loop, delay=self.ends[1]), TOLERANCE).limits()
 
-    def _first(self, stiffness: float, damping: float, most: float) -> float:
-        """Return the first proved of some stiffnesses below ``most``, above one; else that one."""
-        shares = 0.95, 0.8, 0.6, 0.4, 0.2, 0.1, 0.03, 0.01, 1e-3  # at first, of its limit
-        tried = (share * most for share in shares)
-        above = (k for k in tried if k > stiffness and self.is_proved(k, damping))
-        return next(above, stiffness)
-
-    def _raised(self, stiffness: float, damping: float, share: float) -> float:
-        """Return a proved stiffness above a given one, as far as one that is not; else that one."""
-        low, step = stiffness, share * stiffness
-        while self.is_proved(low + step, damping):
-            low, step = low + step, 2.0 * step
-        while step > share * stiffness:
-            step *= 0.5
-            if self.is_proved(low + step, damping):
-                low += step
-        return low
-
     def _lowest_unstable(self, stiffness: float, damping: float) -> float:
         """Return a stiffness above one that is STABLE, proved UNSTABLE, by bisection."""
         low, high = stiffness, inf
@@ -376,6 +344,48 @@ class MovingLoop(NamedTuple):
             is_unstable = self.code(tried, damping) == Verdict.UNSTABLE
             low, high = (low, tried) if is_unstable else (tried, high)
         return high
+
+
+def stiffest_proved(is_proved: Proved, most: float, at: float) -> tuple[float, float]:
+    """Return the stiffest wall (K, B) that is proved, of those that a search tries; NaN without.
+
+    The search begins around the stiffest wall of constant delays, ``most`` and ``at``. From the
+    stiffest of some walls it climbs to dampings at which walls that are a little stiffer are
+    proved.
+    """
+    dampings = 1.0, 2.0, *(0.5 ** np.arange(1, 8))  # of the given one
+    steps = 0.5 ** np.arange(1, 11)  # of the damping
+    fine, finest = 0.03, 1e-5  # differences of the stiffness that count: of a step, and at last
+    best, own = 0.0, nan
+    for damping in dict.fromkeys(share * at for share in dampings):
+        first = _first(is_proved, best, damping, most)
+        best, own = (first, damping) if first > best else (best, own)
+    if not best:
+        return nan, nan
+    for step in steps.tolist():
+        for damping in (own, own * (1.0 + step), own / (1.0 + step)):
+            raised = _raised(is_proved, best, damping, fine * step)
+            best, own = (raised, damping) if raised > best else (best, own)
+    return _raised(is_proved, best, own, finest), own
+
+
+def _first(is_proved: Proved, stiffness: float, damping: float, most: float) -> float:
+    """Return the first proved of some stiffnesses below ``most``, above one; else that one."""
+    shares = 0.95, 0.8, 0.6, 0.4, 0.2, 0.1, 0.03, 0.01, 1e-3
+    tried = (share * most for share in shares)
+    return next((k for k in tried if k > stiffness and is_proved(k, damping)), stiffness)
+
+
+def _raised(is_proved: Proved, stiffness: float, damping: float, share: float) -> float:
+    """Return a proved stiffness above a given one, as far as one that is not; else that one."""
+    low, step = stiffness, share * stiffness
+    while is_proved(low + step, damping):
+        low, step = low + step, 2.0 * step
+    while step > share * stiffness:
+        step *= 0.5
+        if is_proved(low + step, damping):
+            low += step
+    return low
 
 
 def jitter_margin(

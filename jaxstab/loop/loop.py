@@ -430,15 +430,14 @@ class HapticLoop(LoopParameters, TwoGains):
         """The largest stiffness, and its damping, that every hand of a range allows.
 
         The corners of the range, and the hands at which a proof failed, set the limit, by their
-        exact regions: computed, not proved. The wall is proved, if ``is_proved``.
+        exact regions: computed, not proved. The wall is proved; NaN where none was.
 
         Args:
             hands: the range of hands, which replace the hand of the loop.
             mass: the device's lowest and highest mass in kg over its postures; None for its own.
             delay: the shortest and the longest constant delay in s; None for that of the loop.
-            delays: as for ``verdict``; the limit is then that at both ends of the delays, and the
-                wall is proved for every sequence of them, if ``is_proved``. Where those ends allow
-                much more than is proved, it is a share of the wall proved for the first hand.
+            delays: as for ``verdict``; the limit is then that of constant delays at both ends, and
+                the wall is proved for every sequence of them.
             lost: as for ``verdict``.
 
         Raises:

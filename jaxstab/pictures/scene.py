@@ -62,7 +62,7 @@ from jaxstab.scene.answers import (
     Quantity,
     basis_of,
     in_words,
-    printed_wall,
+    printed_pair,
 )
 from jaxstab.scene.check import check_walls
 from jaxstab.scene.contact import simulated_map, walls_around
@@ -224,7 +224,7 @@ def scene_figure(scene: Scene | GainScene, answer: GainAnswer | None = None) -> 
         draw_responses(panels[-1], scene, given.walls)
         panels[-1].set_title("Response to a constant push")
     elif isfinite(region.stiffest.stiffness):
-        printed = printed_wall(
+        printed = printed_pair(
             *region.stiffest, lambda *wall: loop.verdict(*wall) == Verdict.STABLE
         )
         label = plain(f"stiffest: {_gains_text(*printed, scene.units, _LARGEST)}")

@@ -4,8 +4,8 @@ An answer has values by name, and each name of a number its Quantity (``FORMATS`
 digits that are printed and the side to which they are rounded. Answers about two gains have the
 names of these (``formats_of``): ``largest_kp`` is rounded down.
 Limits are rounded inwards, and two gains that are printed as a stable wall are one
-(``jaxstab.shown.stable_pair``). JSON has all digits, in SI units but for a phase in degrees, and
-the unit of each key. Answers of a scene that turns have the units of rotation, and inertia for
+(``jaxstab.shown.stable_pair``), of which JSON has the same digits. All other numbers have all
+digits there, in SI units but for a phase in degrees. JSON has the unit of each key. Answers of a scene that turns have the units of rotation, and inertia for
 mass.
 """
 
@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 from enum import IntEnum
-from math import isfinite, isinf, isnan
+from math import isfinite, isinf, isnan, nan
 from typing import Any
 
 from jaxstab.scene.scene import Controller, Grip, Hand, Scene, Units
@@ -99,13 +99,22 @@ class Quantity:
             return self.infinite if value > 0.0 else f"-{self.infinite}"
         if isinstance(value, Printed) or digits == GIVEN:
             text = value.text if isinstance(value, Printed) else exact_text(value)
+            if not value:  # 0, or above 0
+                return text
             return rounded_text(Decimal(text), MOST_DIGITS, factor=factor)
         return rounded_text(value, digits, rounding, factor=factor)
 
 
-def printed_wall(limit: float, other: float, *known: Any) -> tuple[float, float]:
-    """A largest gain and the other one, to be printed as a stable wall: ``stable_pair``."""
-    return stable_pair(limit, other, (_LIMIT_DIGITS, Quantity.digits), *known)
+def printed_pair(limit: float, other: float, *known: Any) -> tuple[float, float]:
+    """A limit and the other gain in the digits that are printed, a stable pair: ``stable_pair``.
+
+    NaN where no such pair is found; infinite limits are as they were.
+    """
+    pair = stable_pair(limit, other, (_LIMIT_DIGITS, Quantity.digits), *known)
+    if not isfinite(limit):
+        return pair
+    first, second = (n.shown if isinstance(n, Printed) else nan for n in pair)
+    return first, second
 
 
 def rounded_wall(stiffness: float, damping: float, is_stable: Any) -> tuple[float, float]:

@@ -15,8 +15,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, make_dataclass, replace
 from functools import cache, partial
 from inspect import Parameter, signature
-from math import isfinite, isnan
+from math import inf, isfinite, isnan, nan
 from typing import Any, ClassVar
+
+import numpy as np
 
 from jaxstab import loop as doors
 from jaxstab import tables as t
@@ -148,12 +150,12 @@ class _ForEach(StableGains):
 
     def verdict(self, first: float, second: float) -> Verdict | str:
         """The verdict on both gains."""
-        verdict, (low, high) = super().verdict(first, second), self.environment
-        if verdict != Verdict.STABLE or low == high:
+        verdict = super().verdict(first, second)
+        if verdict != Verdict.STABLE or self.certainty is None:
             return verdict
         line = stable_line(partial(affine_triple, self.loop.parts), (0.0, 0.0), (first, second))
-        most = high / low * (1.0 + EPS)
-        if any(low.value < 1.0 and high.value - high.error > most for low, high in line.intervals):
+        ends = ((low.value, high.value - high.error) for low, high in line.intervals)
+        if any(low < 1.0 and high > self._ratio for low, high in ends):
             return verdict
         return Verdict.UNSTABLE if line.status == LineStatus.PROVED else Verdict.UNDECIDED
 
@@ -163,6 +165,48 @@ class _ForEach(StableGains):
             return super().around(pair)
         verdict = self.verdict(*pair.values())
         return GainAnswer({**pair, "verdict": verdict}, self.formats, verdict == Verdict.STABLE)
+
+    def found(self, own: Gain) -> tuple[float, float]:
+        """The least value of a gain, and the other gain there; of a range, that a search finds."""
+        limit, (low, high) = super().found(own), self.environment
+        if low == high or isnan(limit[0]):
+            return limit
+        slopes = np.geomspace(1e-6, 1e4, 41) / self.loop.sample_time  # damping/mass, at first
+        if limit[0] == 0.0 and self._least(own, 1e-6 * slopes[0])[0] < inf:
+            return limit  # as without a delay: all dampings above 0
+        best = inf, nan
+        for _ in range(5):
+            pairs = [self._least(own, slope) for slope in slopes.tolist()]
+            place = min(range(len(pairs)), key=pairs.__getitem__)
+            best, last = min(best, pairs[place]), len(slopes) - 1
+            slopes = np.geomspace(slopes[max(place - 1, 0)], slopes[min(place + 1, last)], 9)
+        return best if best[0] < inf else (nan, nan)
+
+    def _least(self, own: Gain, slope: float) -> tuple[float, float]:
+        """The least value of a gain for all of the range at a ratio of damping to mass; infinite.
+
+        Beside it stands the other gain.
+        """
+        line = stable_line(partial(affine_triple, self.loop.parts), (0.0, 0.0), (1.0, slope))
+        ends = ((low.value + low.error, high.value - high.error) for low, high in line.intervals)
+        mass = min((low for low, high in ends if high > self._ratio * low > 0.0), default=inf)
+        pair = mass, slope * mass
+        return pair if own == self.loop.gains[0] else pair[::-1]
+
+    @property
+    def _ratio(self) -> float:
+        """The stiffest environment over the softest one, rounded up."""
+        low, high = self.environment
+        return high / low * (1.0 + EPS)
+
+    def beside(self, own: Gain, value: float, at: float) -> float:
+        """The other gain: a given one, or one in the middle of stable ones around it."""
+        if self.certainty is None:
+            return super().beside(own, value, at)
+        steps = np.geomspace(1e-5, 3.0, 24)
+        others = at * np.sort([*(1.0 + steps), 1.0, *(1.0 / (1.0 + steps))])
+        stable = [other for other in others.tolist() if self.is_stable(own, value, other)]
+        return stable[len(stable) // 2] if stable else at
 
 
 @dataclass(frozen=True)
@@ -253,9 +297,13 @@ def gain_limits(scene: GainScene) -> GainAnswer:
     """The limits of both gains, the stable values of one at the other, and around each pair."""
     stable, values, gains, is_any = scene.stable, _stated(scene), scene.loop.gains, True
     try:
-        limits = {own.name: stable.limit(own, *stable.found(own)) for own in gains}
-        is_any = not all(isnan(next(iter(limit.values.values()))) for limit in limits.values())
-        values |= limits if is_any else {"limits": "there are no stable gains"}
+        found = {own: stable.found(own) for own in gains}
+        is_any = not all(isnan(value) for value, _ in found.values())
+        none = "there are no stable gains"
+        if scene.is_range:
+            none = "no gains were found that are stable in every environment"
+        limits = {own.name: stable.limit(own, *pair) for own, pair in found.items()}
+        values |= limits if is_any else {"limits": none}
     except (ValueError, RuntimeError) as error:  # both gains act alike, or it is not resolved
         values["limits"], is_any = str(error), isinstance(error, ValueError)
     for own in gains:

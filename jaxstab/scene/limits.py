@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from functools import partial
 from itertools import product
-from math import inf, isfinite, nan
+from math import inf, isfinite, isnan, nan
 from typing import Any, ClassVar
 
 import numpy as np
@@ -22,9 +22,9 @@ from jaxstab.loop import Gain, Gains, HapticLoop, WallLimits
 from jaxstab.model import Velocity
 from jaxstab.region import RegionStatus
 from jaxstab.scene import loops
-from jaxstab.scene.answers import Answer, GainAnswer, Quantity, basis_of, formats_of, printed_wall
+from jaxstab.scene.answers import Answer, GainAnswer, Quantity, basis_of, formats_of, printed_pair
 from jaxstab.scene.scene import Scene, Units
-from jaxstab.shown import Printed, exact_text, stable_pair, table_text
+from jaxstab.shown import Printed, exact_text, table_text
 
 _SEE_BELOW = " (all hands: see below)"
 
@@ -82,25 +82,30 @@ class StableGains:
         if value == inf:
             return GainAnswer({names[0]: value}, self.formats)
 
-        is_given = isfinite(value) and self.safety < 1.0
-        if is_given and not self.is_stable(own, value, at):  # as below a narrow corner
-            at = self.beside(own, value, at)
-
         def row(beside: float) -> list[tuple[float, float]]:  # of which the upper ends are tried
             ends = inner_ends(self.loop.intervals(**{other.name: beside})) if is_largest else []
             below = ((low, min(high, value)) for low, high in ends)
             return [(low, high) for low, high in below if abs(value - high) < 0.01 * abs(value)]
 
         way, allows = ROUND_FLOOR if is_largest else ROUND_CEILING, partial(self.is_stable, own)
-        pair = stable_pair(value, at, (4, 6), allows, row, way)
-        if isfinite(value) and not isinstance(pair[0], Printed):  # at a corner
-            inside = value * (1.0 - 2e-4 if is_largest else 1.0 + 2e-4)
-            at = self.beside(own, inside, at)
-            pair = stable_pair(value, at, (4, 6), allows, row, way)
-        is_proved = isinstance(pair[0], Printed)
-        words = self.certainty if is_proved else "not proved" if isfinite(value) else None
-        if value == 0.0 and not (is_proved or is_largest):  # all above 0
-            words, is_proved = None, True
+
+        def printed(share: float) -> tuple[float, float]:
+            """The pair that is printed for a value inside of the limit by a share of it."""
+            inside = value - share * abs(value) if is_largest else value + share * abs(value)
+            is_limit = share == 0.0 and self.safety == 1.0
+            beside = at if is_limit else self.beside(own, inside, at)
+            return printed_pair(inside, beside, allows, row, way)
+
+        # Next to a corner, or below a narrow one, the other gain of the limit may not be stable.
+        shares = (0.0, 2e-4, 1e-2, 0.1) if value else (0.0,)
+        pairs = (printed(share) for share in shares if isfinite(value))
+        pair = next((pair for pair in pairs if isfinite(pair[0])), (nan, nan))
+        is_proved = isfinite(pair[0])
+        words = self.certainty if is_proved else "no pair is proved"
+        if value == 0.0 and not (is_proved or is_largest):
+            pair, words, is_proved = (Printed(0.0, "above 0"), nan), "0 itself is not stable", True
+        if isnan(value):
+            words = None
         values: dict[str, Any] = dict(zip(names, pair, strict=True))
         return GainAnswer(values | ({"certainty": words} if words else {}), self.formats, is_proved)
 
@@ -204,8 +209,10 @@ def brief(answer: GainAnswer, *, islands: bool = False) -> str:
     def limit(key: str, found: GainAnswer, *more: str | None) -> str:
         paths = (f"{key}.{name}" for name in [*found.values][:2])
         own, *at = (said[path] for path in paths if path in said)
-        words = [" at ".join([own, *at]), *filter(None, more)]
-        return ", ".join(words) if own != Quantity.absent else f"no stable {kind}"
+        if own == Quantity.absent:
+            return said.get(f"{key}.certainty", f"no stable {kind}")
+        pair = " at ".join([own, *(words for words in at if words != Quantity.absent)])
+        return ", ".join([pair, *filter(None, more)])
 
     for key, found in values.items():
         names = [*found.values] if isinstance(found, GainAnswer) else []
@@ -374,25 +381,23 @@ def _over_delays(scene: Scene) -> GainAnswer:
     unstable, safety, every = None, wanted.safety or 1.0, "constant delay"
     if controller.moves:
         delays, every = loops.delays_of(scene), "sequence of delays"
-        moving = loop.limits(delays=controller.delays, lost=controller.lost_samples)
+        moving = loop.limits(**delays)
         unstable, found = moving.unstable_stiffness, Gains(moving.stiffness, moving.damping)
 
         def is_proved_wall(stiffness: float, damping: float) -> bool:
             return bool(loop.verdict(stiffness, damping, **delays) == Verdict.STABLE)
 
-        best, is_proved = loops.with_safety(found, found.stiffness > 0.0, safety, is_proved_wall)
+        best = loops.with_safety(found, safety, is_proved_wall)
     else:
-        best, is_proved, _ = loops.wall_for_all(scene, safety)
+        best, _ = loops.wall_for_all(scene, safety)
         every = "hand and constant delay" if loops.hands_of(scene) else every
-    tried = "not proved" if best.stiffness > 0.0 else "no wall was found"
-    certainty = f"proved for every {every}" if is_proved else tried
     verdicts = zip(walls, loops.worst_on(scene, [*walls.values()]), strict=True)
     return GainAnswer(
         {
             "inputs": basis_of(scene),
             "safety": wanted.safety,
             "hand": loops.at_lowest(scene, _SEE_BELOW) if controller.moves else None,
-            "best": loops.stiffest_wall(best, certainty=certainty, proved_unstable_at=unstable),
+            "best": loops.stiffest_wall(best, every, proved_unstable_at=unstable),
             "all_hands": loops.limit_for_all(scene, safety) if controller.moves else None,
             "walls": {name: verdict for name, (verdict, _) in verdicts},
         }
@@ -421,7 +426,7 @@ def _passive(stable: StableWalls) -> GainAnswer:
     walls = passive_walls(stable.loop)
     stiffness, damping = walls[np.argmax(walls[:, 0])].tolist() if len(walls) else (0.0, 0.0)
     allows = partial(stable.is_stable, stable.loop.gains[0])
-    return loops.stiffest_wall(Gains(*printed_wall(stable.safety * stiffness, damping, allows)))
+    return loops.stiffest_wall(Gains(*printed_pair(stable.safety * stiffness, damping, allows)))
 
 
 def _other_windows(stable: StableWalls) -> dict[str, GainAnswer]:

@@ -26,7 +26,7 @@ from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.model.filters import Velocity, given_filters
 from jaxstab.model.plant import DELTA_LIMIT, GAIN_LIMIT, GAMMA_LIMIT
 from jaxstab.region import RegionStatus
-from jaxstab.scene.answers import Answer, GainAnswer, Quantity, printed_wall
+from jaxstab.scene.answers import Answer, GainAnswer, Quantity, printed_pair
 from jaxstab.scene.scene import Hand, Scene, Units, range_in_words
 
 Floats = NDArray[np.float64]
@@ -216,17 +216,16 @@ BUT_FOR_DRIFT = "stable but for the position, which nothing holds"
 _DRIFTS = "nothing holds the position of a damper alone; over ranges the rest is not proved"
 
 
-def stiffest_wall(wall: Gains, *, certainty: str | None = None, **more: Any) -> GainAnswer:
-    """The largest stable stiffness, and where it is reached; over ranges if the certainty says so.
+def stiffest_wall(wall: Gains, every: str | None = None, **more: Any) -> GainAnswer:
+    """The largest stable stiffness, and where it is reached: proved for ``every`` of a range.
 
     Beside it stand a stiffness proved unstable, the worst hand, or that a rule is no limit.
     """
-    is_certain = certainty is None or certainty.startswith("proved")
-    values = {"largest_stiffness": wall.stiffness, "at_damping": wall.damping}
-    return GainAnswer(
-        values | {"certainty": certainty, **more},
-        is_stable=is_certain and isfinite(wall.stiffness),
-    )
+    is_found = isfinite(wall.stiffness)
+    values: dict[str, Any] = {"largest_stiffness": wall.stiffness, "at_damping": wall.damping}
+    if every:
+        values["certainty"] = f"proved for every {every}" if is_found else "no wall is proved"
+    return GainAnswer(values | more, is_stable=is_found)
 
 
 class WallVerdict(GainAnswer):
@@ -327,20 +326,15 @@ def limit_for_all(scene: Scene, safety: float) -> GainAnswer | None:
     """The limit for all hands of a scene; None where neither the hand nor the mass varies."""
     if hands_of(scene) is None:
         return None
-    best, is_proved, limiting = wall_for_all(scene, safety)
-    proved = "proved for every hand"
-    proved += "" if masses_of(scene) is None else f" and {scene.units.moved}"
-    proved += " and every sequence of delays" if scene.controller.moves else ""
-    tried = "no wall was found" if isnan(best.stiffness) else "not proved"
-    certainty, worst = proved if is_proved else tried, held_by(limiting, scene)
-    return stiffest_wall(best, certainty=certainty, worst_hand=worst)
+    best, limiting = wall_for_all(scene, safety)
+    every = "hand"
+    every += "" if masses_of(scene) is None else f" and {scene.units.moved}"
+    every += " and every sequence of delays" if scene.controller.moves else ""
+    return stiffest_wall(best, every, worst_hand=held_by(limiting, scene))
 
 
-def wall_for_all(scene: Scene, safety: float) -> tuple[Gains, bool, HapticLoop]:
-    """Return the stiffest wall for all hands, masses and delays, times the safety.
-
-    Beside it stand whether it is proved, and the loop that limits it.
-    """
+def wall_for_all(scene: Scene, safety: float) -> tuple[Gains, HapticLoop]:
+    """Return the stiffest wall proved for all hands, masses and delays, and the limiting loop."""
     loop, every = loops_over_delays(scene)[0], ranges_of_all(scene)
     robust = loop.robust_limit(**every)
 
@@ -349,19 +343,17 @@ def wall_for_all(scene: Scene, safety: float) -> tuple[Gains, bool, HapticLoop]:
         return worst.verdict == Verdict.STABLE
 
     best = Gains(robust.stiffness, robust.damping)
-    return *with_safety(best, robust.is_proved, safety, is_proved), robust.loop
+    return with_safety(best, safety, is_proved), robust.loop
 
 
 def with_safety(
-    best: Gains, is_best: bool, safety: float, is_proved: Callable[[float, float], bool]
-) -> tuple[Gains, bool]:
-    """Return a largest stiffness times the safety as it is printed, and whether it is proved."""
-    stiffness = safety * best.stiffness
-    if safety < 1.0 and (is_best or stiffness > 0.0):
-        is_best = is_proved(stiffness, best.damping)
-    if not is_best:
-        return Gains(stiffness, best.damping), False
-    return Gains(*printed_wall(stiffness, best.damping, is_proved)), True
+    best: Gains, safety: float, is_proved: Callable[[float, float], bool]
+) -> Gains:
+    """Return a proved wall times the safety, as it is printed; NaN where that is not proved."""
+    stiffness, none = safety * best.stiffness, Gains(nan, nan)
+    if isnan(stiffness) or (safety < 1.0 and not is_proved(stiffness, best.damping)):
+        return none
+    return Gains(*printed_pair(stiffness, best.damping, is_proved))
 
 
 def at_lowest(scene: Scene, others: str = " unless stated otherwise") -> str | None:

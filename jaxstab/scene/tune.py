@@ -25,11 +25,11 @@ from jaxstab.loop.tune import settling_times
 from jaxstab.model.filters import dividing_periods, sections_of
 from jaxstab.region.curve import bracketed_root
 from jaxstab.scene import loops
-from jaxstab.scene.answers import Basis, GainAnswer, basis_of, formats_of, rounded_wall
+from jaxstab.scene.answers import Basis, GainAnswer, basis_of, formats_of, printed_pair, rounded_wall
 from jaxstab.scene.check import settled
 from jaxstab.scene.limits import StableGains, StableWalls, numbered
 from jaxstab.scene.scene import Scene, Units, presets
-from jaxstab.shown import Printed, exact_text, stable_pair
+from jaxstab.shown import Printed, exact_text
 from jaxstab.tuning import TuningStatus
 
 # The wall that is fastest at worst over the device's mass, the hands and the delay of a scene.
@@ -323,7 +323,7 @@ def largest_value(
         if among is not None:  # of which no digit may be left out
             value = Printed(value, exact_text(value))
         else:
-            value, other = stable_pair(value, other, (4, 6), is_stable)
+            value, other = printed_pair(value, other, is_stable)
     beside = f"at_{stable_at(start).other(own).name}"
     return GainAnswer(
         {f"largest_{name}": value, beside: other, "status": status},
