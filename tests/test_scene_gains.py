@@ -26,6 +26,7 @@ from jaxstab.region.curve import curve_of
 from jaxstab.region.measures import empty_outline
 from jaxstab.region.stable_set import region_within
 from jaxstab.scene import GainScene, any_scene
+from jaxstab.scene.limits import brief
 
 FOLDER = Path(__file__).parents[1] / "data" / "scenes" / "gains"
 KINDS = "simulator", "admittance", "pid", "coupling"
@@ -248,15 +249,14 @@ def test_masses_that_are_all_stable_have_a_least_one_of_zero() -> None:
     table = ROBOT | {"environment": 5e3, "sample_time": 2e-3, "rule": "trapezoid"}
     for safety in (1.0, 0.5):
         answer = answered(loop(table, safety=safety))
-        assert re.search(r"least mass +0 kg\n +at damping", str(answer))
+        assert re.search(r"least mass +above 0 kg\n +at damping +none", str(answer))
+        assert "least mass     above 0 kg, 0 itself is not stable\n" in brief(answer) + "\n"
         assert answer.all_stable
-    at = answer.as_json()["mass"]["at_damping"]
-    low, *_ = (
-        jaxstab.admittance(**{k: v for k, v in table.items() if k != "kind"})
-        .intervals(damping=at)
-        .intervals[0]
-    )
-    assert low.value == 0.0
+    mass = answer.as_json()["mass"]
+    assert (mass["least_mass"], mass["at_damping"]) == (0.0, None)
+    for mass, is_stable in ((Fraction(0), None), (Fraction(1, 10**9), True)):  # on the circle
+        pair = {"mass": mass, "damping": Fraction(100)}
+        assert judged({"loop": table}, pair, 5e3) is is_stable
 
 
 @pytest.mark.parametrize("is_resolved", [True, False])
@@ -301,7 +301,7 @@ def test_a_safety_moves_all_limits_to_the_stable_side() -> None:
         for name in ("kp", "kd", "mass", "damping"):
             for key, value in plain.get(name, {}).items():
                 factor = {"largest": 0.8, "least": 1.25}.get(key.split("_")[0])
-                assert factor is None or careful[name][key] == pytest.approx(factor * value)
+                assert factor is None or careful[name][key] == pytest.approx(factor * value, 2e-3)
 
 
 # ------------------------------------------------------------------------- a range of environments
@@ -359,7 +359,8 @@ def test_limits_of_a_range_of_environments_are_those_of_the_stiffest_one_and_pro
     stiffest = answered(loop(ROBOT)).as_json()
     for name in ("mass", "damping"):
         assert ranged[name].pop("certainty") == "proved for every environment"
-        assert ranged[name] == stiffest[name]
+        least = stiffest[name][f"least_{name}"]
+        assert least <= ranged[name][f"least_{name}"] <= 1.002 * least
 
 
 def test_margins_over_frequency_are_those_of_one_environment() -> None:
@@ -557,14 +558,14 @@ def test_design_gives_the_largest_value_that_allows_a_gain(tables: Tables, name:
             else goal / value
         )
 
-    assert limit(largest) >= 1.0 - 1e-7
-    assert limit(largest + 1 if is_whole else 1.001 * largest) < 1.0
+    assert limit(largest) >= 1.0 - 1e-3  # of a limit of four digits
+    assert limit(largest + 1 if is_whole else 1.003 * largest) < 1.0
 
 
 def test_the_largest_step_of_a_simulator_is_the_closed_one() -> None:
     """Inside the step kp h^2/J < 4 - 2 kd h/J: at kd = 0 the largest step is 2 (J/kp)^(1/2)."""
     answer = answered(loop(JOINT, kp=1000.0), "design")
-    assert answer.as_json()["step"]["largest_step"] == pytest.approx(0.02, rel=1e-6)
+    assert answer.as_json()["step"]["largest_step"] == 0.01999
     (pair,) = [line for line in str(answer).splitlines() if "largest step" in line]
     assert pair.split() == ["largest", "step", "19.99", "ms"]
 
@@ -602,7 +603,7 @@ def test_a_study_has_the_limits_and_verdicts_of_its_loops(tmp_path: Path) -> Non
             "substeps": int(float(row["loop_substeps"])),
         }
         answer = answered(tables).as_json()
-        assert float(row["largest_kp"]) == answer["kp"]["largest_kp"]
+        assert 0.0 <= float(row["largest_kp"]) / answer["kp"]["largest_kp"] - 1.0 < 2e-3
         assert row["verdict"] == answer["gains"][row["gains"]]["verdict"]
 
 

@@ -149,10 +149,10 @@ def test_safety_moves_all_limits_inwards() -> None:
     for whole, part in ((plain, safe), (plain["windows"], safe["windows"])):
         for name in {"best", "passive", "linear_rule", "20"} & {*whole}:
             scaled = 0.8 * whole[name]["largest_stiffness"]
-            assert part[name]["largest_stiffness"] == pytest.approx(scaled, rel=1e-12)
+            assert part[name]["largest_stiffness"] == pytest.approx(scaled, rel=2e-3)
     # Reached without a spring, where a gain of exactly 0 is at the edge of the region.
     scaled = 0.8 * plain["most_damped"]["largest_damping"]
-    assert safe["most_damped"]["largest_damping"] == pytest.approx(scaled, rel=1e-12)
+    assert safe["most_damped"]["largest_damping"] == pytest.approx(scaled, rel=2e-3)
     for name, key in (("at_given_damping", "stiffness"), ("at_given_stiffness", "damping")):
         low, high = plain[name][f"{key}_limits"]
         scaled = [low / 0.8 if low > 0.0 else low * 0.8, 0.8 * high]
@@ -179,14 +179,16 @@ def test_the_safe_wall_for_all_hands_is_proved_anew() -> None:
     assert plain is not None
     assert safe is not None
     assert safe.certainty == "proved for every hand"
-    assert safe.largest_stiffness == 0.8 * plain.largest_stiffness
+    assert safe.largest_stiffness == pytest.approx(0.8 * plain.largest_stiffness, rel=2e-3)
 
 
 @pytest.mark.campaign
 def test_a_design_with_safety_is_one_for_a_stiffer_wall() -> None:
     safe = answered("design", *OMEGA, "--stiffness", "1000", "--safety", "0.5")
     plain = answered("design", *OMEGA, "--stiffness", "2000")
-    assert safe["now_allowed_stiffness"] == 0.5 * plain["now_allowed_stiffness"]
+    assert safe["now_allowed_stiffness"] == pytest.approx(
+        0.5 * plain["now_allowed_stiffness"], rel=2e-3
+    )
     assert {name: safe[name] for name in ("sample_time", "delay")} == {
         name: plain[name] for name in ("sample_time", "delay")
     }
@@ -387,11 +389,10 @@ def test_a_limit_with_a_safety_is_a_stable_wall(safety: float) -> None:
     limit, damping = whole["largest_stiffness"], whole["at_damping"]
     assert radius(1.0001 * limit, damping) > 1.0
     assert radius(safety * limit, damping) > 1.0
-    assert part["largest_stiffness"] == safety * limit
+    assert part["largest_stiffness"] == pytest.approx(safety * limit, rel=1e-3)
     assert radius(part["largest_stiffness"], part["at_damping"]) < 1.0
     text = run("limits", *own, "--set", filter_, "--safety", str(safety)).stdout
     printed = re.search(r"largest stiffness +(\S+) N/m at (\S+) N s/m", text)
     assert printed is not None
     stiffness, beside = map(float, printed.groups())
-    assert 0.999 * safety * limit < stiffness <= safety * limit
-    assert radius(stiffness, beside) < 1.0
+    assert [stiffness, beside] == [part["largest_stiffness"], part["at_damping"]]

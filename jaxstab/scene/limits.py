@@ -97,8 +97,8 @@ class StableGains:
             return printed_pair(inside, beside, allows, row, way)
 
         # Next to a corner, or below a narrow one, the other gain of the limit may not be stable.
-        shares = (0.0, 2e-4, 1e-2, 0.1) if value else (0.0,)
-        pairs = (printed(share) for share in shares if isfinite(value))
+        shares = (0.0, 2e-4, 1e-2, 0.1) if isfinite(value) else ()
+        pairs = map(printed, shares)
         pair = next((pair for pair in pairs if isfinite(pair[0])), (nan, nan))
         is_proved = isfinite(pair[0])
         words = self.certainty if is_proved else "no pair is proved"
