@@ -327,10 +327,14 @@ def limit_for_all(scene: Scene, safety: float) -> GainAnswer | None:
     if hands_of(scene) is None:
         return None
     best, limiting = wall_for_all(scene, safety)
+    return stiffest_wall(best, every_in_words(scene), worst_hand=held_by(limiting, scene))
+
+
+def every_in_words(scene: Scene) -> str:
+    """The words for all hands of a scene: "hand and mass and every sequence of delays"."""
     every = "hand"
     every += "" if masses_of(scene) is None else f" and {scene.units.moved}"
-    every += " and every sequence of delays" if scene.controller.moves else ""
-    return stiffest_wall(best, every, worst_hand=held_by(limiting, scene))
+    return every + (" and every sequence of delays" if scene.controller.moves else "")
 
 
 def wall_for_all(scene: Scene, safety: float) -> tuple[Gains, HapticLoop]:

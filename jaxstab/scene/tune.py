@@ -11,7 +11,7 @@ delays it is the longest one, as a constant delay, and the answer says so, too.
 
 from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from math import floor, inf, isnan, nan, sqrt
 from typing import Any, Literal
@@ -189,12 +189,34 @@ class DesignStatus(Status):
     LONGEST_TRIED = 3, "the longest value tried still allows the wanted gain"
 
 
+@dataclass(frozen=True)
+class _WallsForAll(StableWalls):
+    """The walls that are stable for every hand and mass; the loops are those of the corners.
+
+    Limits that are found are those of the first one.
+    """
+
+    ranges: Mapping[str, Any] = field(default_factory=dict)  # as of ``worst_hand``
+
+    def is_stable(self, own: Gain, value: float, other: float) -> bool:
+        """True if a wall is proved for every hand and mass."""
+        wall = dict(zip((own.name, self.other(own).name), (value, other), strict=True))
+        return self.loop.worst_hand(**wall, **self.ranges).verdict == Verdict.STABLE
+
+    def beside(self, own: Gain, value: float, at: float) -> float:
+        """The middle of the other gain's values that all corners share, or the given one."""
+        other = self.other(own)
+        low, high = self.row(own, value, at)[f"{other.name}_limits"]
+        return at if isnan(low) else 0.5 * (max(low, 0.0) + min(high, 3.0 * max(low, 0.0) + 1.0))
+
+
 def design_loop(scene: Scene) -> GainAnswer:
-    """The sample time, and the delay, up to which the wanted stiffness is allowed."""
+    """The sample time, and the delay, up to which the wanted stiffness is allowed for every hand.
+
+    A delay given in samples grows with the sample time. Where a window is given in s, only sample
+    times that divide it are tried. Of a range of delays it is the longest one, as a constant delay.
+    """
     most_samples = 256.0  # of delay that are tried
-    # A delay given in samples grows with the sample time. The damping is that of the stiffest wall.
-    # Where a window is given in s, only sample times that divide it are tried. Of a range of delays
-    # it is the longest one, as a constant delay.
     given, scene = scene, scene.at_longest_delay
     wanted = scene.wanted.stiffness
     if wanted is None:
@@ -203,23 +225,45 @@ def design_loop(scene: Scene) -> GainAnswer:
             f"{scene.units.stiffness}."
         )
     loop, in_samples = loops.loop_of(scene), scene.controller.delay_samples
-    stable = StableWalls(loop, scene.wanted.safety or 1.0)
-    period, of_k = loop.sample_time, loop.gains[0]
+    period, of_k, safety = loop.sample_time, loop.gains[0], scene.wanted.safety or 1.0
+    hands, corners = loops.hands_of(scene), loops.corner_loops(scene)
+    ranges = {"hands": hands, "mass": loops.masses_of(scene)}
     shortest = max(period / 1024.0, loop.delay / most_samples if in_samples is None else 0.0)
     longest = min(1024.0 * period, _longest(loop))
 
     def largest(name: str, loop_at: Any, *among: Any) -> GainAnswer:
+        """The largest value for all corners: that of the one that limits it, proved for all."""
+
         def at(value: float) -> StableWalls:
-            return replace(stable, loop=loop_at(scene, value))
+            first, *others = (loop_at(scene, value, corner) for corner in corners)
+            if hands is None:
+                return StableWalls(first, safety)
+            return _WallsForAll(first, safety, (*others,), ranges=ranges)
 
-        return largest_value(name, at, of_k, wanted, *among)
+        def limit(corner: HapticLoop, value: float) -> float:
+            stiffness, _ = StableWalls(loop_at(scene, value, corner)).found(of_k)
+            return -inf if isnan(stiffness) else stiffness
 
+        value = among[0]
+        for _ in range(3):
+            first = corners[0]
+            corners.sort(key=partial(limit, value=value))
+            if value != among[0] and corners[0] is first:
+                break
+            answer = largest_value(name, at, of_k, wanted, *among)
+            value = answer.values[f"largest_{name}"]
+            if isnan(value):
+                break
+        return answer
+
+    stable = StableWalls(loop, safety)
+    now: Any = loops.limit_for_all(scene, safety) or stable.limit(of_k, *stable.found(of_k))
     return GainAnswer(
         {
             "inputs": basis_of(given, at_longest=True),
             "stiffness": wanted,
             "safety": scene.wanted.safety,
-            "now_allowed_stiffness": stable.safety * stable.found(of_k)[0],
+            "now_allowed_stiffness": now.largest_stiffness,
             "sample_time": largest(
                 "sample_time",
                 sampled_loop,
@@ -228,7 +272,7 @@ def design_loop(scene: Scene) -> GainAnswer:
                 _periods(loop, shortest, inf),
             ),
             "delay": largest("delay", delayed_loop, period, (0.0, most_samples * period)),
-            "hand": loops.at_lowest(scene),
+            "certainty": f"proved for every {loops.every_in_words(scene)}" if hands else None,
         }
     )
 
@@ -251,6 +295,7 @@ def stiffness_over(
     """Sample times, or delays, around those now and designed in s, and the allowed stiffness."""
     shares, points = (0.6, 1.6), 33  # of the shortest and the longest that are given
     loop, safety = loops.loop_of(scene), scene.wanted.safety or 1.0
+    corners = loops.corner_loops(scene)
     designed, among = design.values[name].values[f"largest_{name}"], None
     given = [loop.sample_time, designed, *((0.0, loop.delay) if name == "delay" else ())]
     low, high = shares[0] * np.nanmin(given), shares[1] * np.nanmax(given)
@@ -259,20 +304,24 @@ def stiffness_over(
         among = _periods(loop, low, high)
     values = np.linspace(low, high, points) if among is None else np.array(among[::-1])
     loop_at = sampled_loop if name == "sample_time" else delayed_loop
-    regions = (loops.wall_region(loop_at(scene, value)) for value in values.tolist())
-    return values, np.array([safety * own.reachable.stiffest.stiffness for own in regions])
+
+    def stiffest(value: float) -> float:
+        regions = (loops.wall_region(loop_at(scene, value, corner)) for corner in corners)
+        return safety * min(region.reachable.stiffest.stiffness for region in regions)
+
+    return values, np.array([*map(stiffest, values.tolist())])
 
 
-def sampled_loop(scene: Scene, period: float) -> HapticLoop:
-    """Return the loop of a scene with another sample time; a delay in samples goes with it."""
-    loop, in_samples = loops.loop_of(scene), scene.controller.delay_samples
+def sampled_loop(scene: Scene, period: float, loop: HapticLoop | None = None) -> HapticLoop:
+    """Return a loop of a scene with another sample time; a delay in samples goes with it."""
+    loop, in_samples = loop or loops.loop_of(scene), scene.controller.delay_samples
     delay = loop.delay if in_samples is None else in_samples[0] * period
     return replace(loop, sample_time=period, delay=delay)
 
 
-def delayed_loop(scene: Scene, delay: float) -> HapticLoop:
-    """Return the loop of a scene with another delay in s."""
-    return replace(loops.loop_of(scene), delay=delay)
+def delayed_loop(scene: Scene, delay: float, loop: HapticLoop | None = None) -> HapticLoop:
+    """Return a loop of a scene with another delay in s."""
+    return replace(loop or loops.loop_of(scene), delay=delay)
 
 
 def largest_value(
@@ -316,14 +365,25 @@ def largest_value(
     else:
         value, status = _searched(spare, start, *ends)
     other: float | None = None
-    if status != DesignStatus.NONE:
-        value = float(floor(value)) if is_whole else value
+
+    def printed(largest: float) -> tuple[float, float]:
+        """A value and the other gain as they are printed: a pair that allows the goal."""
+        value = float(floor(largest)) if is_whole else largest
         inside = value if is_whole or among is not None else value * (1.0 - 2e-4)
         other = stable_at(inside).beside(own, goal, limit(value)[1])
+        if not is_stable(inside, other):
+            return nan, nan
         if among is not None:  # of which no digit may be left out
-            value = Printed(value, exact_text(value))
-        else:
-            value, other = printed_pair(value, other, is_stable)
+            return Printed(value, exact_text(value)), other
+        return printed_pair(value, other, is_stable)
+
+    if status != DesignStatus.NONE:
+        smaller = (share * value for share in (1.0, 0.99, 0.97, 0.9, 0.7))
+        if among is not None:
+            smaller = iter(among[index : index + 5])
+        pairs = (pair for pair in map(printed, smaller) if not isnan(pair[0]))
+        value, other = next(pairs, (nan, None))
+        status = status if other is not None else DesignStatus.NONE
     beside = f"at_{stable_at(start).other(own).name}"
     return GainAnswer(
         {f"largest_{name}": value, beside: other, "status": status},
