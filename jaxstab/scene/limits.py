@@ -426,7 +426,8 @@ def _passive(stable: StableWalls) -> GainAnswer:
     walls = passive_walls(stable.loop)
     stiffness, damping = walls[np.argmax(walls[:, 0])].tolist() if len(walls) else (0.0, 0.0)
     allows = partial(stable.is_stable, stable.loop.gains[0])
-    return loops.stiffest_wall(Gains(*printed_pair(stable.safety * stiffness, damping, allows)))
+    wall = Gains(*printed_pair(stable.safety * stiffness, damping, allows))
+    return replace(loops.stiffest_wall(wall), is_stable=True)  # there may be none
 
 
 def _other_windows(stable: StableWalls) -> dict[str, GainAnswer]:

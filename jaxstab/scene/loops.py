@@ -350,9 +350,7 @@ def wall_for_all(scene: Scene, safety: float) -> tuple[Gains, HapticLoop]:
     return with_safety(best, safety, is_proved), robust.loop
 
 
-def with_safety(
-    best: Gains, safety: float, is_proved: Callable[[float, float], bool]
-) -> Gains:
+def with_safety(best: Gains, safety: float, is_proved: Callable[[float, float], bool]) -> Gains:
     """Return a proved wall times the safety, as it is printed; NaN where that is not proved."""
     stiffness, none = safety * best.stiffness, Gains(nan, nan)
     if isnan(stiffness) or (safety < 1.0 and not is_proved(stiffness, best.damping)):

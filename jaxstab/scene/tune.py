@@ -25,7 +25,14 @@ from jaxstab.loop.tune import settling_times
 from jaxstab.model.filters import dividing_periods, sections_of
 from jaxstab.region.curve import bracketed_root
 from jaxstab.scene import loops
-from jaxstab.scene.answers import Basis, GainAnswer, basis_of, formats_of, printed_pair, rounded_wall
+from jaxstab.scene.answers import (
+    Basis,
+    GainAnswer,
+    basis_of,
+    formats_of,
+    printed_pair,
+    rounded_wall,
+)
 from jaxstab.scene.check import settled
 from jaxstab.scene.limits import StableGains, StableWalls, numbered
 from jaxstab.scene.scene import Scene, Units, presets
