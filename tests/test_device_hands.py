@@ -237,7 +237,10 @@ def test_what_nothing_damps_is_tried_and_not_proved() -> None:
     loop = replace(LOOP, device=Device.mass_spring_damper(0.25, damping=0.1).held_by(bare))
     light = replace(HANDS, mass=(0.0, 0.0))
     assert loop.worst_hand(light, 500.0, 5.0).verdict == Verdict.UNDECIDED
-    assert not loop.robust_limit(light).is_proved
+    limit = loop.robust_limit(light)
+    assert not limit.is_proved
+    assert np.isnan(limit.stiffness)
+    assert repr(limit).startswith("RobustLimit: no wall is proved\n  limit of hands tried  ")
     damped = replace(HANDS, damping=(2.0, 5.0), mass=(0.1, 0.1), stiffness=(9.0, 9.0))
     assert loop.worst_hand(damped, 500.0, 5.0).verdict == Verdict.STABLE
 

@@ -272,3 +272,19 @@ def test_design_is_for_every_hand() -> None:
         for share in (1.0, 1.02)
     }
     assert rates[1.0] < 1.0 < rates[1.02]
+
+
+@pytest.mark.parametrize("longest", [12e-3, 16e-3])
+def test_a_limit_for_all_hands_counts_lost_samples(longest: float) -> None:
+    """A hand of 400 N/m makes 67.69 N/m at 2.317 N s/m, once called that of 16 ms, grow."""
+    stiff = (0.1, 0.5, 400.0), 2e-3, (67.69, 2.317)
+    assert max(growth(*stiff, ages) for ages in turns(np.random.default_rng(8), 4, 9)) > 1.002
+    tables = {**LOST, "controller": {**LOST["controller"], "delay": [8e-3, longest]}}
+    answer = scene_limits(Scene.from_table(tables))
+    assert answer.all_hands.certainty == "proved for every hand and every sequence of delays"
+    wall = answer.all_hands.largest_stiffness, answer.all_hands.at_damping
+    assert 0.0 < wall[0] < answer.best.largest_stiffness
+    period, rng = LOST["controller"]["sample_time"], np.random.default_rng(8)
+    samples = [round(delay / period) for delay in tables["controller"]["delay"]]
+    counted = {"sample_time": period, "delay_samples": samples, "lost_samples": 1}
+    assert_stable_for_all({**tables, "controller": counted}, wall, rng, is_lowest=False)
