@@ -5,8 +5,8 @@ digits that are printed and the side to which they are rounded. Answers about tw
 names of these (``formats_of``): ``largest_kp`` is rounded down.
 Limits are rounded inwards, and two gains that are printed as a stable wall are one
 (``jaxstab.shown.stable_pair``), of which JSON has the same digits. All other numbers have all
-digits there, in SI units but for a phase in degrees. JSON has the unit of each key. Answers of a scene that turns have the units of rotation, and inertia for
-mass.
+digits there, in SI units but for a phase in degrees. JSON has the unit of each key. Answers of a
+scene that turns have the units of rotation, and inertia for mass.
 """
 
 from collections.abc import Iterator, Mapping

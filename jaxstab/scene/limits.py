@@ -381,7 +381,7 @@ def _over_delays(scene: Scene) -> GainAnswer:
     unstable, safety, every = None, wanted.safety or 1.0, "constant delay"
     if controller.moves:
         delays, every = loops.delays_of(scene), "sequence of delays"
-        moving = loop.limits(**delays)
+        moving = loop.limits(delays=controller.delays, lost=controller.lost_samples)
         unstable, found = moving.unstable_stiffness, Gains(moving.stiffness, moving.damping)
 
         def is_proved_wall(stiffness: float, damping: float) -> bool:

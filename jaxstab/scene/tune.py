@@ -385,9 +385,9 @@ def largest_value(
         return printed_pair(value, other, is_stable)
 
     if status != DesignStatus.NONE:
-        smaller = (share * value for share in (1.0, 0.99, 0.97, 0.9, 0.7))
+        smaller: Sequence[float] = [share * value for share in (1.0, 0.99, 0.97, 0.9, 0.7)]
         if among is not None:
-            smaller = iter(among[index : index + 5])
+            smaller = among[index : index + 5]
         pairs = (pair for pair in map(printed, smaller) if not isnan(pair[0]))
         value, other = next(pairs, (nan, None))
         status = status if other is not None else DesignStatus.NONE
