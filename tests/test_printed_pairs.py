@@ -17,9 +17,8 @@ import numpy as np
 import pytest
 from campaign import many
 from commands import run
+from random_scenes import NUMBER, RANDOM, ROBOT, SOFT, judged, loop, random_table
 from scipy.linalg import expm
-from test_printed_walls import NUMBER, SOFT, random_table
-from test_scene_gains import RANDOM, ROBOT, judged, loop
 
 from jaxstab import Velocity, Verdict
 from jaxstab.scene import GainScene, Scene, any_scene, check_walls, design_loop, scene_limits

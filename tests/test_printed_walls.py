@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from campaign import many
 from explorer import NODE, asked_of_node, loop_of, random_setup
+from random_scenes import NUMBER, SOFT, random_table
 
 from jaxstab import HapticLoop, Verdict
 from jaxstab.scene import Scene, design_loop, scene_limits, tune_walls
@@ -19,44 +20,8 @@ from jaxstab.scene.tune import delayed_loop, sampled_loop
 from jaxstab.shown import Printed, exact_text, stable_pair
 
 needs_node = pytest.mark.skipif(NODE is None, reason="there is no node here")
-SOFT = 1e-7  # of the largest stiffness: what stands for a wall without a spring, a limit
 BESIDE = 1e-9  # of an interval: how far inside of its printed ends walls are asked
-NUMBER = r"(-?[\d.]+(?:e[-+]?\d+)?)"
 K, B = "(?:N/m|N m/rad)", "(?:N s/m|N m s/rad)"
-
-
-def random_table(rng: np.random.Generator) -> dict[str, Any]:
-    """A scene of one mass or with a mode, along a line or turning, with any estimator and hand."""
-    turns = rng.random() < 0.4
-    mass = 10.0 ** (rng.uniform(-6.0, -1.0) if turns else rng.uniform(-2.0, 0.7))
-    period = 10.0 ** rng.uniform(-4.0, -2.3)
-    own = mass / period  # N s/m that stop it within a sample
-    moved = "inertia" if turns else "mass"
-    damping = float(rng.choice([0.0, own * 10.0 ** rng.uniform(-5.0, -1.0)]))
-    device: dict[str, Any] = {moved: mass, "damping": damping}
-    if rng.random() < 0.15:
-        mode = {"frequency": rng.uniform(0.02, 0.3) / period, "damping_ratio": 0.03}
-        device["modes"] = [{**mode, f"modal_{moved}": mass * rng.uniform(0.5, 5.0)}]
-    estimators: list[dict[str, Any]] = [
-        {"window_samples": int(rng.integers(1, 30))},
-        {"cutoff": rng.uniform(0.02, 0.4) / period, "order": int(rng.integers(1, 4))},
-        {"window_samples": 1, "factor": rng.uniform(0.1, 0.9)},
-    ]
-    controller: dict[str, Any] = {"sample_time": period, "delay_samples": rng.uniform(0.0, 6.0)}
-    if rng.random() < 0.5:
-        controller["delay_samples"] = float(rng.integers(0, 6))
-    if rng.random() < 0.7:
-        controller["velocity"] = estimators[rng.integers(3)]
-    if rng.random() < 0.1:
-        controller["position"] = {"window_samples": int(rng.integers(2, 5))}
-    table: dict[str, Any] = {"device": device, "controller": controller}
-    if rng.random() < 0.6:
-        table["hand"] = {
-            moved: mass * rng.uniform(0.0, 2.0),
-            "stiffness": float(rng.choice([0.0, own / period * 10.0 ** rng.uniform(-6.0, -1.5)])),
-            "damping": own * 10.0 ** rng.uniform(-5.0, -1.5),
-        }
-    return table
 
 
 def said_walls(text: str) -> list[tuple[float, float]]:

@@ -11,13 +11,22 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import affine_kinds
-import mpmath
 import numpy as np
 import pytest
 import recursions
 from campaign import first
 from commands import assert_one_sentence, run
+from random_scenes import (
+    DEVICE,
+    JOINT,
+    RANDOM,
+    ROBOT,
+    Tables,
+    couple,
+    judged,
+    loop,
+    pid,
+)
 
 import jaxstab
 from jaxstab import Verdict
@@ -30,36 +39,14 @@ from jaxstab.scene.limits import brief
 
 FOLDER = Path(__file__).parents[1] / "data" / "scenes" / "gains"
 KINDS = "simulator", "admittance", "pid", "coupling"
-Tables = dict[str, Any]
 
-JOINT = {"kind": "simulator", "inertia": 0.1, "step": 2e-3}
 SPRUNG = JOINT | {"damping": 0.5, "stiffness": 20.0}
-ROBOT = {"kind": "admittance", "environment": 1e4, "sample_time": 1e-3, "delay_samples": 4}
 SLOW = {"delay_samples": 5, "robot": {"factor": 0.1}}
-DEVICE = {
-    "device": {"mass": 0.25, "damping": 0.1},
-    "controller": {"sample_time": 1e-3, "delay_samples": 1.0},
-}
 WINDOW = {
     "device": DEVICE["device"],
     "controller": DEVICE["controller"] | {"velocity": {"window_samples": 20}},
 }
 OTHER, SPRING = {"mass": 0.5, "damping": 0.2}, {"mass": 0.1, "damping": 0.5}
-
-
-def loop(table: Tables, **wanted: float) -> Tables:
-    return {"loop": table, "wanted": wanted}
-
-
-def pid(gains: Tables, of: Tables = DEVICE, **wanted: float) -> Tables:
-    return of | loop({"kind": "pid", **gains}, **wanted)
-
-
-def couple(second: Tables, first_late: float, late: float, **wanted: float) -> Tables:
-    controller = {"sample_time": 1e-3, "delay_samples": first_late}
-    second = second | {"delay_samples": late}
-    table = loop({"kind": "coupling", "second": second}, **wanted)
-    return table | {"device": DEVICE["device"], "controller": controller}
 
 
 HELD = SPRING | {"hand": {"stiffness": 20.0}}  # 20 N/m hold it
@@ -121,52 +108,6 @@ def test_stable_values_of_a_gain_are_those_of_40_digits(name: str) -> None:
 
 
 # ---------------------------------------------------------------------- printed numbers are stable
-def held_mass(numbers: tuple[float, ...], late: float) -> recursions.HeldMass:
-    return affine_kinds._held(*numbers, 1e-3, late, exact=True)
-
-
-def judged(tables: Tables, pair: dict[str, Fraction], wall: float = 0.0) -> bool | None:
-    """True if exact gains are stable in the recursion of a scene, in exact numbers."""
-    own, exact = {**tables["loop"]}, {"one": Fraction(1)}
-    match own.pop("kind"):
-        case "simulator":
-            timing = {name: own.pop(name, default) for name, default in TIMING.items()}
-            inside = not own.pop("outside", False) and timing == TIMING
-            engine = {"damping": 0.0, "stiffness": 0.0, "integrator": "semi-implicit"} | own
-            numbers = {k: v if k == "integrator" else Fraction(v) for k, v in engine.items()}
-            matrix = recursions.simulated(**pair, inside=inside, **timing, **numbers, **exact)
-        case "admittance":
-            own = {"rule": "forward", "stiffness": 0.0} | own | {"environment": wall}
-            kept = "rule", "delay_samples"
-            numbers = {k: v if k in kept else Fraction(v) for k, v in own.items()}
-            matrix = recursions.admittance(**pair, **numbers, **exact)
-        case "pid":
-            plant = held_mass((0.25, 0.1, 0.0), 1.0)
-            gains = {name: mpf(value) for name, value in pair.items()}
-            gains |= {name: mpf(own[name]) for name in ("kp", "ki", "kd") if name in own}
-            matrix = recursions.pid(
-                **gains, plant=plant, period=mpf(1e-3), rule="backward", window=1, one=mpf(1)
-            )
-        case _:
-            second = own["second"]
-            bodies = (0.25, 0.1, 0.0), (second["mass"], second["damping"], 0.0)
-            lates = tables["controller"]["delay_samples"], second["delay_samples"]
-            plants = [held_mass(*both) for both in zip(bodies, lates, strict=True)]
-            gains = {name: mpf(value) for name, value in pair.items()}
-            matrix = recursions.coupling(
-                **gains, first=plants[0], second=plants[1], period=mpf(1e-3), drift=1, one=mpf(1)
-            )
-    with mpmath.workdps(60):
-        return affine_kinds.is_stable_exactly(matrix)
-
-
-TIMING = {"substeps": 1, "delay_steps": 0}
-
-
-def mpf(number: Any) -> Any:
-    with mpmath.workdps(60):
-        exact = Fraction(number)
-        return mpmath.mpf(exact.numerator) / exact.denominator
 
 
 def printed_pairs(text: str) -> list[dict[str, Fraction]]:
@@ -178,34 +119,6 @@ def printed_pairs(text: str) -> list[dict[str, Fraction]]:
             assert place[0] == "at"
             found.append({words[1]: Fraction(Decimal(words[2])), place[1]: Fraction(place[2])})
     return found
-
-
-RANDOM = {
-    "simulator": lambda rng: loop(
-        JOINT
-        | {
-            "inertia": float(10 ** rng.uniform(-4, 0)),
-            "damping": float(rng.choice([0.0, 0.01])),
-            "integrator": str(rng.choice(["semi-implicit", "implicit-joint"])),
-            "substeps": int(rng.integers(1, 5)),
-            "delay_steps": int(rng.integers(0, 6)),
-        }
-    ),
-    "admittance": lambda rng: loop(
-        ROBOT
-        | {
-            "environment": float(10 ** rng.uniform(2, 5)),
-            "delay_samples": int(rng.integers(1, 6)),
-            "rule": str(rng.choice(["forward", "explicit", "backward"])),
-        }
-    ),
-    "pid": lambda rng: pid({"kd": float(rng.uniform(5.0, 100.0))}),
-    "coupling": lambda rng: couple(
-        {"mass": float(10 ** rng.uniform(-1, 1)), "damping": 0.2},
-        1.0,
-        float(rng.choice([0.0, 2.5])),
-    ),
-}
 
 
 @pytest.mark.parametrize("kind", KINDS)
