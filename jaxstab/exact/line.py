@@ -49,7 +49,7 @@ from jaxstab.conventions import Status
 from jaxstab.exact.circle import is_patient, zeros
 from jaxstab.exact.roots import Number, TripleAt, is_sharp, roots_outside, sign_of
 from jaxstab.model.balls import Factored
-from jaxstab.model.device.parts import FIRST_BITS, decided, remembered
+from jaxstab.model.device.parts import FIRST_BITS, decided, remembered, working_precision
 from jaxstab.shown import text_with_bound
 
 _BLOCK = 32  # terms of a polynomial that are summed by Horner's rule
@@ -172,7 +172,8 @@ def stable_pencil(
     counts = found and _counts(line, found)
     if found is None or counts is None:
         return StableLine((), (), 0, 0.0, LineStatus.UNDECIDED, first_bits)
-    ends = [End(-inf, 0.0, nan), *map(_end, found.crossings), End(inf, 0.0, nan)]
+    with working_precision(found.bits):
+        ends = [End(-inf, 0.0, nan), *map(_end, found.crossings), End(inf, 0.0, nan)]
     stable = [Interval(*pair) for pair, n in zip(pairwise(ends), counts, strict=True) if n == 0]
     return StableLine(
         intervals=tuple(stable),

@@ -77,7 +77,14 @@ class Modes(NamedTuple):
         """z^i for i < W, z^(W l) for W l < terms, and the relative error of values from them."""
         width = ceil(terms**0.5)
         count = ceil(terms / width)
-        far = np.array([complex(ball**width) for ball, _ in self.balls])
+
+        def blocks() -> "list[acb]":
+            return [ball**width for ball, _ in self.balls]
+
+        def are_sharp(balls: "list[acb]") -> bool:
+            return all(is_sharp(ball) or abs(ball) < _NOTHING for ball in balls)
+
+        far = np.array(list(map(complex, decided(blocks, is_answered=are_sharp))))
         with np.errstate(under="ignore"):
             near, late = _powers(self.poles, width), _powers(far, count)
         return near, late, 4 * UNIT * (width + count + len(far) + 4)

@@ -352,11 +352,19 @@ def rough_radius(triple: TripleAt, stiffness: float, damping: float) -> float:
 def poles(triple: TripleAt, stiffness: float, damping: float) -> Poles:
     """All poles of the wall (K, B), those at z = 0 included."""
     p = partial(_polynomial, triple, stiffness, damping)
-    found = decided(lambda: real_or_not(isolated_roots(p())), most=_MOST_BITS)
+    found = decided(lambda: _rounded(real_or_not(isolated_roots(p()))), most=_MOST_BITS)
     if found is None:
-        return Poles(np.full(triple().degree, complex(np.nan, np.nan)), np.inf)
+        with working_precision(FIRST_BITS):
+            return Poles(np.full(triple().degree, complex(np.nan, np.nan)), np.inf)
+    return found
+
+
+def _rounded(roots: "list[tuple[acb, bool]] | None") -> Poles | None:
+    """Poles in float64, of balls that tell which are real."""
+    if roots is None:
+        return None
     values, error = [], 0.0
-    for root, is_real in found:
+    for root, is_real in roots:
         if is_real or root.imag > 0:
             real = Number.of(root.real)
             imaginary = Number(0.0, 0.0) if is_real else Number.of(root.imag)

@@ -30,7 +30,7 @@ from jaxstab.loop.hands import LoopsWithHands
 from jaxstab.loop.region import Gains
 from jaxstab.model.balls import ball_triple
 from jaxstab.model.device.device import in_steps
-from jaxstab.model.device.parts import MassSpringDamper, Modes
+from jaxstab.model.device.parts import FIRST_BITS, MassSpringDamper, Modes, working_precision
 from jaxstab.model.filters import Velocity, dividing_periods, sections_of, with_number
 from jaxstab.model.plant import DELTA_LIMIT, GAMMA_LIMIT, LONGEST_DELAY
 from jaxstab.numbers import checked_count, checked_word, two_ends
@@ -257,7 +257,9 @@ def range_of(
         known = _verdicts(loops, quantity, wall, scan) if at_once else None
         found = stable_values((quantity, UNITS[quantity]), scan, judge, known)
         stable = [change(each, found.least) for each in loops if may_drift and found.intervals]
-        return found._replace(drift=any(ball_triple(own).at(*wall).at_one for own in stable))
+        with working_precision(FIRST_BITS):
+            drift = any(ball_triple(own).at(*wall).at_one for own in stable)
+        return found._replace(drift=drift)
 
     if every is None:
         return scanned()
