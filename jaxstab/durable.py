@@ -24,14 +24,17 @@ OUTPUTS: dict[Path, str] = {}
 _TAKEN = "another process has written it meanwhile; remove that file, or give another name"
 
 
-def publish(data: bytes, path: Path) -> None:
-    """Put a whole file in its place, durably and by one rename, or change nothing."""
-    with replacing(path) as descriptor:
-        write_all(descriptor, data)
-
-
 Identity = tuple[int, ...] | None  # of a file at a path; None where there is none
-_ANY: Identity = ()
+ANY: Identity = ()
+
+
+def publish(data: bytes, path: Path, former: Identity = ANY) -> None:
+    """Put a whole file in its place, durably and by one rename, or change nothing.
+
+    ``former`` is the only file that may be replaced, as ``replacing`` has it; None: none may.
+    """
+    with replacing(path, former) as descriptor:
+        write_all(descriptor, data)
 
 
 def identity_of(path: Path) -> Identity:
@@ -44,7 +47,7 @@ def identity_of(path: Path) -> Identity:
 
 
 @contextmanager
-def replacing(path: Path, former: Identity = _ANY) -> Iterator[int]:
+def replacing(path: Path, former: Identity = ANY) -> Iterator[int]:
     """Yield the descriptor of a new file, which takes the place of the old one if no error occurs.
 
     ``former`` is the only file that may be replaced: that of another process is not.
@@ -65,7 +68,7 @@ def replacing(path: Path, former: Identity = _ANY) -> Iterator[int]:
                     _name(descriptor, temporary)
             finally:
                 os.close(descriptor)
-            if former != _ANY and identity_of(target) != former:
+            if former != ANY and identity_of(target) != former:
                 raise FileExistsError(errno.EEXIST, _TAKEN)
             if former is None and _linked(temporary, target):
                 temporary.unlink()

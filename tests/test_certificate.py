@@ -12,7 +12,8 @@ import pytest
 from campaign import many
 from commands import run
 
-from jaxstab.scene import Scene
+from jaxstab import tables
+from jaxstab.scene import Scene, check_walls
 from jaxstab.scene.exports import certificate
 
 READER = Path(__file__).parents[1] / "data" / "check" / "check_wall.py"
@@ -120,12 +121,13 @@ def test_what_was_changed_is_refused(
         (f"{place}.1", repr(float(high) * (1.0 - 3e-9))),
         (f"{place}.0", repr(float(low) + 3e-9 * float(high))),
         (f"{place}.0", repr(float(low) - 3e-9 * float(high))),
-        ("loop.mass", "1/3"),
-        ("loop.damping", "1"),
-        ("loop.stiffness", "51"),
-        ("loop.sample_time", "1/999"),
-        ("loop.delay_samples", "8/5"),
-        ("loop.velocity.window_samples", "9"),
+        ("walls.soft.loop.mass", "1/3"),
+        ("walls.soft.loop.damping", "1"),
+        ("walls.soft.loop.stiffness", "51"),
+        ("walls.soft.loop.sample_time", "1/999"),
+        ("walls.soft.loop.delay_samples", "8/5"),
+        ("walls.soft.loop.velocity.0.0", "1/7"),
+        ("walls.soft.loop.position", [["99/100"], ["1"]]),
     ):
         assert said_of(reader, changed(claims, path, value), tmp_path) == 1, path
         assert "REFUSED" in capsys.readouterr().out
@@ -135,24 +137,36 @@ def test_what_was_changed_is_refused(
     ("path", "value"),
     [
         ("format", "other"),
+        ("format", "jaxstab wall 1"),
         ("walls.soft.verdict", "maybe"),
-        ("loop.mass", "0"),
-        ("loop.velocity", {"butterworth": "1"}),
+        ("walls.soft.loop.mass", "0"),
         ("walls.soft.stiffness_intervals.0", ["2", "1"]),
+        ("walls.soft.stiffness_intervals.0", "12"),
         ("walls.soft.stiffness", "much"),
-        # Loops of another kind, about which the claims say nothing.
-        ("loop.position", {"cutoff": "1/10"}),
-        ("loop.velocity", {"window_samples": "8", "cutoff": "1/10"}),
-        ("loop.velocity.window_samples", "17/2"),
-        ("loop.velocity", {"cutoff": "1/10", "order": "0"}),
-        ("loop.velocity", {"cutoff": "-1/10", "order": "1"}),
-        ("loop.mass", "-1/4"),
-        ("loop.sample_time", "-1/1000"),
-        ("loop.delay_samples", "-1"),
-        ("loop.delay_samples", "1e400"),
-        ("loop.damping", "1e400"),
+        # Claims that would not be read.
+        ("proved", "for every hand"),
+        ("walls.soft.damping_intervals", [["0", "1"]]),
+        ("walls.soft.loop.friction", "1"),
+        ("walls.soft: stable: confirmed\nsoft", {}),
+        # What a number is not.
+        ("walls.soft.stiffness", True),
+        ("walls.soft.stiffness", 500.0),
+        ("walls.soft.loop.delay_samples", True),
+        ("walls.soft.loop.delay_samples", "1e400"),
+        ("walls.soft.loop.delay_samples", "1_0"),
+        ("walls.soft.loop.damping", "1e400"),
         ("walls.soft.damping", "1e999999999"),
+        ("walls.soft.damping", "1e9_999_999_99"),
         ("walls.soft.stiffness_intervals.0", ["0", "1e-999999999"]),
+        # Loops of another kind, about which the claims say nothing.
+        ("walls.soft.loop.velocity", {"butterworth": "1"}),
+        ("walls.soft.loop.velocity", [["1"], ["0", "1"]]),
+        ("walls.soft.loop.velocity", [[], ["1"]]),
+        ("walls.soft.loop.velocity", ["1", "1"]),
+        ("walls.soft.loop.velocity", [["1"] * 503, ["1"]]),
+        ("walls.soft.loop.mass", "-1/4"),
+        ("walls.soft.loop.sample_time", "-1/1000"),
+        ("walls.soft.loop.delay_samples", "-1"),
     ],
 )
 def test_a_file_that_cannot_be_read_is_named(
@@ -164,16 +178,28 @@ def test_a_file_that_cannot_be_read_is_named(
     assert reader.main(tmp_path / "absent.json") == 2
     (tmp_path / "deep.json").write_text("[" * 100_000)
     assert reader.main(tmp_path / "deep.json") == 2
-    (tmp_path / "other.json").write_text('{"format": "jaxstab wall 1"}')
+    (tmp_path / "other.json").write_text('{"format": "jaxstab wall 2"}')
     assert reader.main(tmp_path / "other.json") == 2
     said = capsys.readouterr().err
-    assert said.endswith("other.json: it has no 'loop'\n")
+    assert said.endswith("has not the keys format, walls alone\n")
     assert "Error: " not in said
+
+
+def test_a_key_that_is_given_twice_is_refused(
+    reader: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """JSON readers take the last one: who reads the first sees other claims."""
+    text = json.dumps(certificate(Scene.from_table(SCENE)))
+    (tmp_path / "twice.json").write_text(text.replace('"walls":', '"walls": {}, "walls":'))
+    assert reader.main(tmp_path / "twice.json") == 2
+    assert "given twice" in capsys.readouterr().err
 
 
 def test_the_order_of_the_keys_says_nothing(reader: Any, tmp_path: Path) -> None:
     claims = certificate(Scene.from_table(SCENE))
-    claims["loop"] = dict(sorted(claims["loop"].items()))
+    wall = claims["walls"]["soft"]
+    wall["loop"] = dict(sorted(wall["loop"].items()))
+    claims["walls"]["soft"] = dict(sorted(wall.items()))
     assert said_of(reader, claims, tmp_path) == 0
 
 
@@ -200,21 +226,61 @@ def test_check_writes_a_certificate(reader: Any, tmp_path: Path) -> None:
     assert reader.main(file) == 0
 
 
+# Walls next to the end of the stable ones. The proof is of the pole of the low pass in float64, not
+# of the number that the cut-off makes it.
+NEXT_TO_THE_END = {
+    "device": {"mass": 0.1, "damping": 0.3},
+    "controller": {"sample_time": 1e-4, "delay": 1e-4, "velocity": {"cutoff": 7.7}},
+    "walls": {"end": {"stiffness": 4112.56001091101, "damping": 7.36}},
+}
+
+
+def test_the_loop_is_that_of_the_proof(reader: Any, tmp_path: Path) -> None:
+    own, verdicts = NEXT_TO_THE_END, set()
+    for above in range(-4, 5):
+        stiffness = own["walls"]["end"]["stiffness"] * (1.0 + above * 2.0**-52)
+        walls = {"end": own["walls"]["end"] | {"stiffness": stiffness}}
+        claims = certificate(Scene.from_table(own | {"walls": walls}))
+        verdicts.add(claims["walls"]["end"]["verdict"])
+        assert said_of(reader, claims, tmp_path) == 0
+    assert verdicts == {"stable", "unstable"}
+
+
+@pytest.mark.parametrize(
+    "filters",
+    [
+        {"velocity": {"cutoff": 30.0, "kind": "butterworth", "order": 3}},
+        {"velocity": {"factor": 0.3}},
+        {"velocity": {"polynomial": 2, "window_samples": 9}},
+        {"velocity": {"window": 0.004}, "position": {"cutoff": 200.0, "order": 2}},
+    ],
+)
+def test_every_estimator_and_filter_is_confirmed(
+    filters: dict[str, Any], reader: Any, tmp_path: Path
+) -> None:
+    controller = {"controller": {"sample_time": 1e-3, "delay": 1.5e-3} | filters}
+    assert said_of(reader, certificate(Scene.from_table(SCENE | controller)), tmp_path) == 0
+
+
+@pytest.mark.parametrize("file", sorted((READER.parents[1] / "scenes").glob("*.toml")))
+def test_scenes_that_are_shipped_are_confirmed(
+    file: Path, reader: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = {"wanted": {"measures": []}}
+    scene = Scene.from_table(tables.read_table(file, "scene") | asked)
+    assert said_of(reader, certificate(scene), tmp_path) == 0
+    said = capsys.readouterr().out
+    for name, wall in check_walls(scene).walls.items():
+        hand = f" with {wall.worst_hand.in_words(scene.units)}" if wall.worst_hand else ""
+        assert f"{name}{hand}: {wall.verdict.name.lower()}: confirmed" in said
+
+
 @pytest.mark.parametrize(
     ("table", "words"),
     [
-        ({"hand": {"mass": [0.0, 0.2], "stiffness": 0.0, "damping": 0.0}}, "leave out modes"),
         ({"device": {"mass": 0.1, "damping": 0.1, "actuator": {"bandwidth": 90.0}}}, "actuator"),
+        ({"hand": {"mass": 0.1, "grip": {"stiffness": 2e3}}}, "leave out modes"),
         ({"controller": {"sample_time": 1e-3, "delay": [1e-3, 2e-3]}}, "one constant delay"),
-        (
-            {
-                "controller": {
-                    "sample_time": 1e-3,
-                    "velocity": {"cutoff": 30.0, "kind": "butterworth", "order": 2},
-                }
-            },
-            "difference or a low pass",
-        ),
         ({"walls": {}}, "at least one wall"),
     ],
 )

@@ -90,6 +90,8 @@ COMMANDS: list[tuple[str, list[str], int]] = [
     ("joints", [ARM, "--simulated", "--json", "--csv", "-"], 2),
     ("explore", ["scene.toml"], 0),
     ("explore", ["none.toml"], 2),
+    ("files", [], 0),
+    ("files", ["more"], 2),
     ("guard", ["--help"], 0),  # tests/test_guard.py builds some
     ("guard", [*OMEGA, "-o", "none/g.h"], 2),
     ("region", ["--gamma", "0", "--delta", "0"], 0),

@@ -1,27 +1,28 @@
 """Check what jaxstab says of virtual walls, without jaxstab: python check_wall.py wall.json
 
-``jaxstab check SCENE --certificate wall.json`` writes the numbers of a loop as exact fractions, and
+``jaxstab check SCENE --certificate wall.json`` writes the numbers of loops as exact fractions, and
 claims: walls (K, B) that are stable or not, and between which K they are. This program needs the
 standard library of Python alone. It exits with 0 if it confirms all claims.
 
-The loop. m x'' + b x' + k x = F (device and hand). The position is sampled every T seconds; a
-sample y_j makes the force -(K y_j + B v_j), which begins d = w + f sampling periods later (w whole,
-0 <= f < 1) and is held for T. v is the difference over n samples, or that over one behind
-first-order low passes of the pole exp(-2 pi c), c the cut-off times T. With T as the unit of time
+The loop. m x'' + b x' + k x = F (device and hand). The position is sampled every T seconds; samples
+y_j make the force -(K P y_j + B V y_j / T), which begins d = w + f sampling periods later (w whole,
+0 <= f < 1) and is held for T. P and V are quotients of polynomials in 1/z, the lowest power first:
+P filters the position, V = 1 - 1/z is the difference over one sample. With T as the unit of time
 and m/T^2 as that of K, only kT^2/m, bT/m, KT^2/m and BT/m are left. The state (x, x', F) moves by
 e^(rates h) over h. From the force that was before during f, and the new one during 1 - f, follow
 x_(j+1) = Phi x_j + new u_(j-w) + old u_(j-w-1) and the polynomial whose roots are the poles:
 
-    p(z) = z^(w+1) det(z - Phi) V_below + (c adj(z - Phi) (new z + old)) (K V_below + B V_above).
+    p(z) = z^(w+1) det(z - Phi) P_below V_below
+           + (c adj(z - Phi) (new z + old)) (K P_above V_below + B V_above P_below).
 
 The verdict. All roots are inside the unit circle if and only if |a_0| < |a_n|, and this holds again
 for a_i - (a_0 / a_n) a_(n-i) without its constant, down to degree 0 (Schur and Cohn).
 The arithmetic. A number is an interval of two integers in units of 2^-bits, rounded outwards. e^X
 is (e^(X / 2^s))^(2^s), by its Taylor sum and a bound of the remainder. If a comparison is not
-decided, there are twice as many bits. One case no number of bits decides: where K = -k, p(1) is 0.
+decided, there are twice as many bits. One case no number of bits decides: that p(1) is 0.
 What is confirmed: the verdict on each wall; and at both ends of each interval of K that K is stable
-within by a part of 1e-9, and not stable beyond. That nothing between is unstable, and that there
-are no other intervals, is not shown here.
+within by a part of 1e-9, and not stable beyond. That nothing between is unstable, that there are no
+other intervals, and what other hands, masses or delays do, is not shown here.
 """
 
 import json
@@ -36,6 +37,9 @@ from operator import mul
 TOLERANCE = Fraction(1, 10**9)  # of an interval's ends
 BITS = 256, 512, 1024, 2048, 4096, 8192
 NUMBERS = "mass", "damping", "stiffness", "sample_time", "delay_samples"
+FILTERS = "position", "velocity"
+WALL = "loop", "stiffness", "damping", "verdict", "stiffness_intervals"
+NUMBER = re.compile(r'"-?\d+(\.\d*)?(/\d+|e[+-]?\d{1,3})?"', re.ASCII)  # as JSON has it
 
 
 class Undecided(ArithmeticError):
@@ -104,26 +108,6 @@ def exponential(matrix):
     return total
 
 
-def pi():
-    """By Machin, 16 arctan(1/5) - 4 arctan(1/239), whose rests are less than the next terms."""
-
-    def arctan(x):
-        total, power, k = Fraction(0), Fraction(1, x), 0
-        while power > Fraction(1, 2 ** (Real.bits + 8)):
-            total += (-1) ** k * power / (2 * k + 1)
-            power, k = power / x**2, k + 1
-        return Real.of(total) + Real(-1, 1)
-
-    return Real.of(16) * arctan(5) - Real.of(4) * arctan(239)
-
-
-def exponential_of(x):
-    """e^x of an interval: that of its middle, times 1 +- twice its half width, which is small."""
-    middle = Fraction(x.low + x.high, 2 << Real.bits)
-    value, half = exponential([[middle]])[0][0], x.high - x.low
-    return value * Real((1 << Real.bits) - half, (1 << Real.bits) + half)
-
-
 def times(a, b):
     """The product of polynomials, the lowest power first."""
     total = [Real.of(0)] * (len(a) + len(b) - 1)
@@ -141,22 +125,8 @@ def numbers(*values):
     return [Real.of(value) for value in values]
 
 
-def velocity(loop):
-    """V_above and V_below in units of 1/T."""
-    given = {name: Fraction(value) for name, value in loop["velocity"].items()}
-    if "window_samples" in given:
-        n = int(given["window_samples"])
-        return numbers(Fraction(-1, n), *[0] * (n - 1), Fraction(1, n)), numbers(*[0] * n, 1)
-    pole = exponential_of(Real.of(-2 * given["cutoff"]) * pi())  # in cycles per sample
-    above, below = numbers(-1, 1), numbers(0, 1)
-    for _ in range(int(given["order"])):
-        above = times(above, [Real.of(0), Real.of(1) - pole])
-        below = times(below, [Real.of(0) - pole, Real.of(1)])
-    return above, below
-
-
 def polynomial(loop, stiffness, damping):
-    m, b, k, period, delay = (Fraction(loop[name]) for name in NUMBERS)
+    m, b, k, period, delay = (loop[name] for name in NUMBERS)
     rates = [[0, 1, 0], [-k * period**2 / m, -b * period / m, 1], [0, 0, 0]]
     whole, part = divmod(delay, 1)
     first, then = (exponential([[x * h for x in row] for row in rates]) for h in (part, 1 - part))
@@ -166,15 +136,17 @@ def polynomial(loop, stiffness, damping):
     below = times([p * s - q * r, Real.of(0) - p - s, Real.of(1)], numbers(*[0] * (whole + 1), 1))
     first, later = ([q * side[1] - s * side[0], side[0]] for side in (old, new))
     above = plus(first, times(later, numbers(0, 1)))
-    rate_above, rate_below = velocity(loop)
+    (a, b), (c, d) = ([numbers(*side) for side in loop[name]] for name in FILTERS)
     spring, damper = numbers(stiffness * period**2 / m), numbers(damping * period / m)
-    wall = plus(times(spring, rate_below), times(damper, rate_above))
-    return plus(times(below, rate_below), times(above, wall))
+    wall = plus(times(spring, times(a, d)), times(damper, times(c, b)))
+    return plus(times(below, times(b, d)), times(above, wall))
 
 
 def is_stable(loop, stiffness, damping):
     """Whether a wall is stable; proved."""
-    if stiffness + Fraction(loop["stiffness"]) == 0:  # nothing holds the position
+    (a, b), (c, d) = ([sum(side) for side in loop[name]] for name in FILTERS)
+    at_rest = loop["stiffness"] * b * d + stiffness * a * d + damping / loop["sample_time"] * c * b
+    if at_rest == 0:  # p(1) = 0: nothing holds the position
         return False
     for Real.bits in BITS:  # of all intervals
         with suppress(Undecided):
@@ -191,53 +163,81 @@ def has_roots_inside(p):
     return True
 
 
-def checked(loop):
-    """A loop; ValueError if it is of another kind, or larger than jaxstab allows."""
-    own = {name: Fraction(value) for name, value in loop["velocity"].items()}
-    if {*loop} != {"velocity", *NUMBERS} or {*own} not in ({"window_samples"}, {"cutoff", "order"}):
-        raise ValueError("the loop has other keys than one mass and its estimator")
-    m, b, k, period, delay = (Fraction(loop[name]) for name in NUMBERS)
-    count, cutoff = own.get("window_samples", own.get("order")), own.get("cutoff", 1)
-    is_right = min(m, period, cutoff) > 0 and min(b, k, delay) >= 0 and max(delay, count) <= 500
-    if not is_right or not count == int(count) >= 1 or max(b, k * period) * period > 10**4 * m:
-        raise ValueError("the loop has a number that is negative, too large or not whole")
+def numbers_in(texts):
+    """Fractions or decimals in a list; an exponent of many digits would fill the memory."""
+    if not isinstance(texts, list) or not all(NUMBER.fullmatch(json.dumps(x)) for x in texts):
+        raise ValueError(f"{json.dumps(texts)[:60]} is no list of numbers such as '1/3', '2.5e-3'")
+    return [*map(Fraction, texts)]
+
+
+def fields(table, *names):
+    """The values of these keys, of which a table has all and no other."""
+    if not isinstance(table, dict) or {*table} != {*names}:
+        raise ValueError(f"{json.dumps(table)[:60]} ... has not the keys {', '.join(names)} alone")
+    return [table[name] for name in names]
+
+
+def read_once(pairs):
+    """A table of JSON; ValueError where a key is there twice."""
+    if len(dict(pairs)) < len(pairs):
+        raise ValueError("a key is given twice")
+    return dict(pairs)
+
+
+def checked(given):
+    """A loop in exact numbers, its filters in z; ValueError for another kind, or too large."""
+    *values, position, velocity = fields(given, *NUMBERS, *FILTERS)
+    m, b, k, period, delay = values = numbers_in(values)
+    loop = dict(zip(NUMBERS, values))
+    for name, (above, below) in zip(FILTERS, (position, velocity)):
+        sides = numbers_in(above), numbers_in(below)
+        if not (all(1 <= len(side) <= 502 for side in sides) and sides[1][0]):
+            raise ValueError(f"the {name} filter is not of 1 to 502 coefficients, or not causal")
+        pairs = [*zip_longest(*sides, fillvalue=0)]  # as many of each, then in powers of z
+        loop[name] = [side[::-1] for side in zip(*pairs)]
+    is_right = min(m, period) > 0 and min(b, k, delay) >= 0 and delay <= 500
+    if not is_right or max(b, k * period) * period > 10**4 * m:
+        raise ValueError("the loop has a number that is negative or too large")
     return loop
 
 
 def claims(file):
-    """Each claim in words, with the wall (K, B) and whether it should be stable."""
-    for name, wall in file["walls"].items():
-        stiffness, damping = Fraction(wall["stiffness"]), Fraction(wall["damping"])
-        expected = {"stable": True, "unstable": False}[wall["verdict"]]
-        yield f"{name}: {wall['verdict']}", stiffness, damping, expected
-        for low, high in (map(Fraction, ends) for ends in wall["stiffness_intervals"]):
+    """Each claim in words, with its loop, the wall (K, B) and whether it should be stable."""
+    form, walls = fields(file, "format", "walls")
+    if form != "jaxstab wall 2":
+        raise ValueError(f"format is {json.dumps(form)}; this program reads 'jaxstab wall 2'")
+    for name, wall in walls.items():
+        if not name.isprintable():
+            raise ValueError(f"the name {json.dumps(name)} has a character that is not printed")
+        given, *pair, verdict, intervals = fields(wall, *WALL)
+        if verdict not in ("stable", "unstable"):
+            raise ValueError(f"the verdict of {name} is {json.dumps(verdict)}")
+        loop, (stiffness, damping) = checked(given), numbers_in(pair)
+        yield f"{name}: {verdict}", loop, stiffness, damping, verdict == "stable"
+        for low, high in map(numbers_in, intervals):
             aside = TOLERANCE * max(abs(low), abs(high))
             if high - low <= 2 * aside:
                 raise ValueError(f"{name}: the interval from {low} to {high} is empty")
             words = f"{name}: K from {float(low):.12g} to {float(high):.12g}"
             for end, way in ((low, 1), (high, -1)):
-                yield f"{words}, stable within", end + way * aside, damping, True
-                yield f"{words}, not stable beyond", end - way * aside, damping, False
+                yield f"{words}, stable within", loop, end + way * aside, damping, True
+                yield f"{words}, not stable beyond", loop, end - way * aside, damping, False
 
 
 def main(path):
     try:
         with open(path, encoding="utf-8") as stream:
-            file = json.loads(text := stream.read())
-        if file["format"] != "jaxstab wall 1":
-            raise ValueError(f"format is {file['format']!r}; this program reads 'jaxstab wall 1'")
-        if re.search(r"[\d.]e[+-]?\d{4}", text, re.IGNORECASE):  # it fills the memory
-            raise ValueError("a number is beyond what float64 can hold")
-        loop, asked, refused = checked(file["loop"]), list(claims(file)), 0
-        for words, stiffness, damping, expected in asked:
+            file = json.load(stream, object_pairs_hook=read_once)
+        asked, refused = list(claims(file)), 0
+        for words, *claim, expected in asked:
             try:
-                answer = ("REFUSED", "confirmed")[is_stable(loop, stiffness, damping) == expected]
+                answer = ("REFUSED", "confirmed")[is_stable(*claim) == expected]
             except Undecided:
                 answer = "NOT DECIDED"
             refused += answer != "confirmed"
             print(f"{words}: {answer}")
     except Exception as error:  # noqa: BLE001, a file may be wrong in any way
-        print(f"{path}: {'it has no ' * isinstance(error, KeyError)}{error}", file=sys.stderr)
+        print(f"{path}: {error}", file=sys.stderr)
         return 2
     print(f"{len(asked) - refused} of {len(asked)} claims confirmed")
     return 1 if refused or not asked else 0

@@ -134,7 +134,7 @@ def _drop(stream: Any) -> None:
 
 _COMMANDS = (
     *(scene.limits, scene.check, scene.contact, scene.tune, scene.design, scene.study),
-    *(scene.joints, scene.scene, scene.identify, scene.explore, scene.guard),
+    *(scene.joints, scene.scene, scene.identify, scene.explore, scene.guard, scene.files),
     *(plane.region, plane.figure),
 )
 _OF_ATLASES = plane.spec, plane.build, plane.info, plane.verify, plane.query, plane.plot

@@ -29,7 +29,7 @@ from typing import Any, TypeVar
 import click
 
 import jaxstab
-from jaxstab.durable import OUTPUTS, publish, target_of
+from jaxstab.durable import ANY, OUTPUTS, Identity, publish, target_of
 from jaxstab.shown import shortened
 from jaxstab.tables import text_of
 
@@ -139,9 +139,9 @@ def plot_option(words: str) -> Callable[[Command], Command]:
     return file_option("--plot", endings=PICTURES, help=words)
 
 
-def write_beside(data: bytes, path: Path) -> None:
-    """Write a file beside an answer on stdout, and name it on stderr."""
-    publish(data, path)
+def write_beside(data: bytes, path: Path, former: Identity = ANY) -> None:
+    """Write a file beside an answer on stdout, as ``publish`` does, and name it on stderr."""
+    publish(data, path, former)
     click.echo(f"jaxstab: wrote {path}", err=True)
 
 
@@ -153,7 +153,9 @@ def require_one_stdout(as_json: bool, file: Path | None) -> None:
         )
 
 
-def print_with_csv(words: Any, rows: Iterable[Iterable[Any]], file: Path | None) -> None:
+def print_with_csv(
+    words: Any, rows: Iterable[Iterable[Any]], file: Path | None, former: Identity = ANY
+) -> None:
     """Print an answer, and write its rows into a CSV file; for "-" print only the rows."""
     if file:
         stream = io.StringIO()
@@ -163,7 +165,7 @@ def print_with_csv(words: Any, rows: Iterable[Iterable[Any]], file: Path | None)
         if str(file) == "-":
             words = data.rstrip(b"\n")
         else:
-            write_beside(data, file)
+            write_beside(data, file, former)
     click.echo(words)
 
 

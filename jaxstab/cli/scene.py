@@ -385,7 +385,8 @@ def limits(in_full: bool, islands: bool, **given: Any) -> int:
 @file_option(
     "--certificate",
     endings=(".json",),
-    help="JSON file for data/check/check_wall.py, which confirms the verdicts without jaxstab.",
+    help="JSON file for a program that confirms the verdicts without jaxstab: jaxstab files "
+    "check_wall.py.",
 )
 def check(in_full: bool, certificate: Path | None, **given: Any) -> int:
     """Check each wall: stable or not, its margins, how fast it settles.
@@ -484,6 +485,39 @@ def design(asked: str | None, **given: Any) -> int:
     return _answer(given, "design", asked=asked)
 
 
+_FILES = {
+    "check_wall.py": ("check", "confirms certificates of check; Python's standard library alone"),
+    "jaxstab_verdict.h": ("readers/c", "verdicts, proved, in C99 or C++ without libraries"),
+    "jaxstab_atlas.h": ("readers/c", "reads atlases in C by libhdf5, beside jaxstab_verdict.h"),
+    "jaxstab_query.c": ("readers/c", "an example: asks an atlas by jaxstab_atlas.h"),
+}
+
+
+@click.command()
+@click.argument("name", required=False, type=click.Choice([*_FILES]))
+@file_option("-o", "--output", help="File to write, which must not exist; default: print it.")
+def files(name: str | None, output: Path | None) -> None:
+    """Write a program that works without jaxstab, or list all of them."""
+    if name is None:
+        refuse({"output": output}, "is given without the NAME of a file; give one.")
+        click.echo(table_text([(own, words) for own, (_, words) in _FILES.items()]))
+        return
+    _write_shipped(_FILES[name][0], name, output)
+
+
+def _write_shipped(folder: str, name: str, output: Path | None) -> None:
+    """Print a file of data/, or write it to a path at which there is nothing."""
+    from jaxstab.scene.scene import folder_of
+
+    text = (folder_of(folder) / name).read_text(encoding="utf-8")
+    if output is None or str(output) == "-":
+        click.echo(text, nl=False)
+        return
+    t.require_free(output)
+    publish(text.encode(), output, former=None)
+    click.echo(output)
+
+
 @click.group()
 def scene() -> None:
     """Write an example of a scene, explain the model of one, or list devices and software."""
@@ -504,15 +538,7 @@ def scene() -> None:
 )
 def init(output: Path | None, kind: str) -> None:
     """Write a commented example of a scene."""
-    from jaxstab.scene.scene import folder_of
-
-    text = (folder_of("scenes/gains") / f"{kind}.toml").read_text(encoding="utf-8")
-    if output is None or str(output) == "-":
-        click.echo(text, nl=False)
-        return
-    t.require_free(output)
-    publish(text.encode(), output)
-    click.echo(output)
+    _write_shipped("scenes/gains", f"{kind}.toml", output)
 
 
 @scene.command()
@@ -851,7 +877,7 @@ def study(
     if output is not None:
         t.write(table, output)
     cells = _cells(table) if csv_file else ()
-    print_with_csv(_report(table, is_small=rows <= most), cells, csv_file)
+    print_with_csv(_report(table, is_small=rows <= most), cells, csv_file, former=None)
     if plot:
         from jaxstab.pictures.scene import study_figure
 

@@ -3,10 +3,10 @@
 A guard and an atlas are for all masses, hands and delays of the scene. Of an atlas gamma and delta
 have their extremes at the corners of the ranges of mass and hand, for they are monotone in each.
 
-A certificate has the numbers of one loop as exact fractions, and of each wall its verdict and
-between which stiffnesses, at its damping, walls are stable: proved here (``exact``), and confirmed
-by a program of 250 lines without jaxstab, data/check/check_wall.py. It reads loops of one mass with
-the difference over a window or first-order low passes, which is what most software has.
+A certificate has, for each wall, the numbers of the loop that decides about it as exact fractions:
+of ranges that of the worst hand and mass. Its claims are the verdict, and between which stiffnesses
+walls are stable at this damping: proved here (``exact``), and confirmed by a program of 250 lines
+without jaxstab, ``jaxstab files check_wall.py``. Filters are those that run, of rounded parameters.
 """
 
 from collections.abc import Callable
@@ -24,7 +24,8 @@ from jaxstab.guard import Guard, build_guard
 from jaxstab.guard.build import CELLS, CONSTANT_CELLS
 from jaxstab.guard.guard import LARGEST_HEADER
 from jaxstab.loop import HapticLoop
-from jaxstab.model import Velocity
+from jaxstab.model import Filter, Velocity
+from jaxstab.model.filters import exact_chain
 from jaxstab.scene import loops
 from jaxstab.scene.answers import GainAnswer, Quantity, basis_of, blocks_of
 from jaxstab.scene.limits import stable_intervals
@@ -173,12 +174,31 @@ def certificate(scene: Scene) -> dict[str, Any]:
     """The claims about the walls of a scene; ValueError for one that the reader cannot follow."""
     scene.require_walls()
     scene.controller.require_one_delay("a certificate")
-    loop = loops.loop_of(scene)
-    if loop.body is None or loops.hands_of(scene) is not None or loop.position is not None:
+    if not loops.is_one_mass(scene):
         raise ValueError(
-            "a certificate is of one mass and one hand without a position filter; leave out modes, "
-            "actuator, grip, ranges and filter."
+            "a certificate is of one mass and the hand that holds it; leave out modes, actuator "
+            "and grip, or ask check without --certificate, whose verdicts are proved, too."
         )
+    walls, claims = loops.walls_of(scene), dict[str, Any]()
+    found = loops.worst_on(scene, [*walls.values()])
+    for (name, wall), (judged, loop) in zip(walls.items(), found, strict=True):
+        verdict = Verdict(int(loop.verdict(*wall)))
+        if verdict == Verdict.UNDECIDED or (verdict == Verdict.STABLE and judged.hands_are):
+            raise ValueError(f"the wall {tuple(wall)} is not decided; there is nothing to certify.")
+        line = loop.stiffness_intervals(wall.damping)
+        intervals = stable_intervals([line], 1.0, wall.stiffness)
+        hand = f" with {judged.worst_hand.in_words(scene.units)}" if judged.worst_hand else ""
+        claims[printable(f"{name}{hand}")] = {
+            "loop": _exact_loop(loop),
+            **{key: str(Fraction(gain)) for key, gain in wall._asdict().items()},
+            "verdict": verdict.name.lower(),
+            "stiffness_intervals": [[repr(a), repr(b)] for a, b in intervals if a < b],
+        }
+    return {"format": "jaxstab wall 2", "walls": claims}
+
+
+def _exact_loop(loop: HapticLoop) -> dict[str, Any]:
+    """The numbers of a loop of one mass, and its filters in powers of 1/z, as fractions."""
     numbers = {
         "mass": (loop.device_mass, loop.hand_mass),
         "damping": (loop.device_damping, loop.hand_damping),
@@ -187,27 +207,8 @@ def certificate(scene: Scene) -> dict[str, Any]:
         "delay_samples": (loop.delay_samples,),
     }
     exact = {name: str(sum(Fraction(float(x)) for x in own)) for name, own in numbers.items()}
-    walls = dict[str, Any]()
-    for name, wall in loops.walls_of(scene).items():
-        verdict = Verdict(int(loop.verdict(*wall)))
-        if verdict == Verdict.UNDECIDED:
-            raise ValueError(f"the wall {tuple(wall)} is not decided; there is nothing to certify.")
-        line = loop.stiffness_intervals(wall.damping)
-        intervals = stable_intervals([line], 1.0, wall.stiffness)
-        walls[name] = {key: str(Fraction(gain)) for key, gain in wall._asdict().items()} | {
-            "verdict": verdict.name.lower(),
-            "stiffness_intervals": [[repr(a), repr(b)] for a, b in intervals if a < b],
-        }
-    about = {**exact, "velocity": _estimator(loop)}
-    return {"format": "jaxstab wall 1", "loop": about, "walls": walls}
-
-
-def _estimator(loop: HapticLoop) -> dict[str, str]:
-    """The keys of the estimator as in scenes, a cut-off in cycles per sample."""
-    sections = (loop.velocity or Velocity()).filter.per_sample(loop.sample_time).sections
-    keys = {**sections[0].toml} if sections else {"window_samples": 1}
-    if len(sections) > 1 or {*keys} not in ({"window_samples"}, {"cutoff", "order"}):
-        raise ValueError(
-            f"velocity is {loop.velocity}; a certificate is of a difference or a low pass."
-        )
-    return {name: str(Fraction(value)) for name, value in keys.items()}
+    chains = loop.position or Filter(), (loop.velocity or Velocity()).filter
+    sides = (exact_chain(chain.per_sample(loop.sample_time).sections) for chain in chains)
+    position, (above, below) = sides
+    rising = {"position": position, "velocity": (above - above.left_shift(1), below)}
+    return exact | {name: [[*map(str, x.coeffs())] for x in own] for name, own in rising.items()}
