@@ -52,7 +52,8 @@ def replacing(path: Path, former: Identity = ANY) -> Iterator[int]:
 
     ``former`` is the only file that may be replaced: that of another process is not.
     OSError: the folder is missing, read-only or full, the path is not that of a file, or the new
-    file was removed; FileExistsError: another file is at the path.
+    file was removed; or the new file is there, but its name not yet on the disk, as the sentence
+    then says; FileExistsError: another file is at the path.
     """
     with named_errors("write", path):
         target, mode = target_of(path)
@@ -78,7 +79,12 @@ def replacing(path: Path, former: Identity = ANY) -> Iterator[int]:
             with suppress(OSError):
                 temporary.unlink()
             raise
+    try:
         _synchronise(target.parent)
+    except OSError as error:
+        words = "is written and in its place, but may be lost if the power fails now"
+        reason = error.strerror or str(error)
+        raise type(error)(error.errno, f"{path} {words}: {reason}.") from error
 
 
 def _new_file(path: Path) -> tuple[int, bool]:

@@ -1,7 +1,9 @@
 """Commands that meet odd files: monstrous input, outputs that are none, files of strangers."""
 
+import errno
 import io
 import os
+import stat
 import subprocess
 import sys
 from pathlib import Path
@@ -300,3 +302,27 @@ def test_no_file_is_named_by_a_dash(
     assert (answer.exit_code, answer.stdout) == (2, "")
     assert_one_sentence(answer.stderr)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(os.name != "posix", reason="elsewhere a folder is not synchronised")
+def test_a_file_that_is_in_place_is_not_said_to_be_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After the rename the former file is gone, whatever the disk says of the folder."""
+    table, synchronise = tmp_path / "scene.csv", os.fsync
+    table.write_text("of last week")
+    (tmp_path / "scene.toml").write_text(EXAMPLE)
+
+    def refused_for_folders(descriptor: int) -> None:
+        if stat.S_ISDIR(os.fstat(descriptor).st_mode):
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        synchronise(descriptor)
+
+    monkeypatch.setattr(os, "fsync", refused_for_folders)
+    answer = run("limits", tmp_path / "scene.toml", "--csv", table)
+    assert answer.exit_code == 2
+    assert_one_sentence(answer.stderr)
+    assert f"{table} is written and in its place, but may be lost" in answer.stderr
+    assert os.strerror(errno.EIO) in answer.stderr
+    assert table.read_text().startswith("scene,")
+    assert list(tmp_path.glob(".*.part")) == []

@@ -454,6 +454,38 @@ def test_parts_are_of_the_longest_list_where_nothing_is_drawn(tmp_path: Path) ->
     assert studies.merged(parts).identical(jaxstab.study(TABLE, over, **given))
 
 
+@pytest.mark.campaign
+def test_parts_have_the_verdicts_of_the_whole_and_its_limits_to_1e_9() -> None:
+    """One program computes most of the whole, and its parts are computed loop by loop."""
+    over, given = {"device.mass": (0.1, 0.5, 300)}, {"answers": ["verdict", "limits"]}
+    whole = jaxstab.study(TABLE, over, **given)
+    parts = [jaxstab.study(TABLE, over, part=(k, 3), **given) for k in (1, 2, 3)]
+    verdicts = np.concatenate([part.verdict for part in parts])
+    np.testing.assert_array_equal(verdicts, whole.verdict)
+    for name in ("largest_stiffness", "at_damping", "largest_damping", "at_stiffness"):
+        merged = np.concatenate([part[name] for part in parts])
+        np.testing.assert_allclose(merged, whole[name], rtol=1e-9)
+
+
+def test_study_writes_no_table_over_one_that_appears_meanwhile(
+    desk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of two tasks of an array with one --csv, the second one says that it writes nothing."""
+    table = desk.with_name("table.csv")
+    compute = tables.computed
+
+    def slow(planned: Any) -> Any:
+        table.write_text("of another task")
+        return compute(planned)
+
+    monkeypatch.setattr(tables, "computed", slow)
+    asked = "--over", "device.mass=0.1,0.2", "--answer", "verdict", "--csv", table
+    result = run("study", desk, *asked)
+    assert result.exit_code == 2
+    assert "table.csv: another process has written it meanwhile" in result.stderr
+    assert table.read_text() == "of another task"
+
+
 def test_parts_that_do_not_go_together_are_refused(tmp_path: Path) -> None:
     one, two = (stored(tmp_path / f"{k}.h5", part=(k, 3)) for k in (1, 2))
     other = stored(tmp_path / "other.h5", part=(3, 3), seed=5)
