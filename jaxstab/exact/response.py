@@ -84,7 +84,8 @@ class Modes(NamedTuple):
         def are_sharp(balls: "list[acb]") -> bool:
             return all(is_sharp(ball) or abs(ball) < _NOTHING for ball in balls)
 
-        far = np.array(list(map(complex, decided(blocks, is_answered=are_sharp))))
+        balls = decided(blocks, is_answered=are_sharp)
+        far = np.array([complex(ball) for ball in balls])
         with np.errstate(under="ignore"):
             near, late = _powers(self.poles, width), _powers(far, count)
         return near, late, 4 * UNIT * (width + count + len(far) + 4)
