@@ -52,6 +52,8 @@ def commands() -> None:
             (["limits", scene, "--plot", picture], 1),  # one of its walls is outside
             (["atlas", "query", golden, *point], 0),
             (["scene", "presets"], 0),
+            (["files", "check_wall.py"], 0),
+            (["files", "jaxstab_query.c"], 0),
         ):
             result = CliRunner().invoke(main, command)
             assert result.exit_code == code, result.output
