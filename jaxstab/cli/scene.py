@@ -495,7 +495,12 @@ _FILES = {
 
 @click.command()
 @click.argument("name", required=False, type=click.Choice([*_FILES]))
-@file_option("-o", "--output", help="File to write, which must not exist; default: print it.")
+@file_option(
+    "-o",
+    "--output",
+    may_be_stdout=True,
+    help="File to write, which must not exist; default: print it.",
+)
 def files(name: str | None, output: Path | None) -> None:
     """Write a program that works without jaxstab, or list all of them."""
     if name is None:
