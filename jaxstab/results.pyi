@@ -47,6 +47,7 @@ from .scene.identify import Estimate as Estimate
 from .scene.identify import Identified as Identified
 from .scene.joints import JointAnswer as JointAnswer
 from .scene.joints import Joints as Joints
+from .scene.joints import Together as Together
 from .trace import BoundaryTrace as BoundaryTrace
 from .trace import TraceStatus as TraceStatus
 from .tuning import OptimalGains as OptimalGains

@@ -174,6 +174,7 @@ INTERNAL = {
         *("boxes", "chunk", "deltas_of_a_tile", "hands", "is_gridded", "numbers"),
         *("points", "shape", "variables"),
     },
+    "Together": {"leaves", "lines"},
     "Velocity": {"stages"},
 }  # fmt: skip
 OF_PYTREES = {"in_floats", "tree_flatten", "tree_unflatten"}

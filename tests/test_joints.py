@@ -1,5 +1,6 @@
 """The joints of robot files: inertias in closed form, and verdicts against MuJoCo itself."""
 
+import csv
 import json
 import math
 import os
@@ -297,6 +298,7 @@ BAR = """
 </mujoco>
 """
 PD = '<position joint="bar" kp="100" kv="1"/>'
+OFF = '<motor joint="bar" gear="3" damping="8" group="3"/>'
 
 
 def bar(actuators: str = PD, flags: str = "", joint: str = "", options: str = "") -> Any:
@@ -334,6 +336,10 @@ def radius_in_mujoco(model: Any) -> float:
         ),
         (bar(joint='stiffness="10 5 50000"'), "its spring or damper is not linear"),
         (bar(joint='damping="1 2 3"'), "its spring or damper is not linear"),
+        (
+            bar(PD + OFF.replace('"8"', '"8 1 2"'), options='actuatorgroupdisable="3"'),
+            "its spring or damper is not linear",
+        ),
     ],
 )
 def test_a_joint_under_another_law_than_pd_has_its_reason(model: Any, words: str) -> None:
@@ -370,6 +376,27 @@ SPRING = 'damping="2" stiffness="500"'
             1.0,
         ),
         ({"actuators": PD.replace("/>", ' damping="2"/>'), "joint": 'damping="0.3"'}, 100.0, 1.0),
+        # The damping of an actuator acts, even if the file disables the actuator.
+        ({"actuators": PD + OFF, "options": 'actuatorgroupdisable="3"'}, 100.0, 1.0),
+        ({"actuators": OFF, "flags": '<flag actuation="disable"/>'}, None, None),
+        (
+            {
+                "actuators": PD + OFF,
+                "options": 'actuatorgroupdisable="3"',
+                "flags": '<flag eulerdamp="disable"/>',
+            },
+            100.0,
+            1.0,
+        ),
+        (
+            {
+                "actuators": PD + OFF,
+                "options": 'actuatorgroupdisable="3"',
+                "flags": '<flag damper="disable"/>',
+            },
+            100.0,
+            1.0,
+        ),
     ],
 )
 def test_what_a_file_disables_does_not_act(
@@ -382,6 +409,57 @@ def test_what_a_file_disables_does_not_act(
     assert (own.kp, own.kd) == (kp, kd)
     radius = answer.questions["bar"].loop(0.02).spectral_radius(kp=kp or 0.0, kd=kd or 0.0)
     assert float(radius.value) == pytest.approx(radius_in_mujoco(model), abs=1e-9)
+
+
+@pytest.mark.parametrize("options", ["", 'actuatorgroupdisable="3"'])
+def test_a_damper_at_a_tendon_moves_its_joints_even_if_it_is_disabled(options: str) -> None:
+    cable = '<tendon><fixed name="cable"><joint joint="bar" coef="1"/></fixed></tendon><actuator>'
+    text = BAR.replace("<actuator>", cable).format(
+        actuators=PD + OFF.replace('joint="bar"', 'tendon="cable"'),
+        flags="",
+        joint="",
+        options=options,
+    )
+    answer = jaxstab.joints(mujoco.MjModel.from_xml_string(text), simulated=True)
+    assert answer.joints["bar"].verdict == "tendon cable moves it with other joints"
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('mass="1"', 'mass="nan"'),
+        ('mass="1"', 'mass="inf"'),
+        ('pos="0.1 0 0" mass', 'pos="NaN 0 0" mass'),
+        ('kp="100"', 'kp="nan"'),
+        ('kv="1"', 'kv="inf"'),
+        ('timestep="0.00173"', 'timestep="inf"'),
+        ('name="bar"', 'name="bar" damping="nan"'),
+        ('name="bar"', 'name="bar" stiffness="-inf"'),
+        ('name="bar"', 'name="bar" frictionloss="nan"'),
+        ('name="bar"', 'name="bar" range="nan 90"'),
+        ("</body>", '<geom size="0.1" mass="nan"/></body>'),
+    ],
+)
+def test_numbers_of_a_robot_that_are_not_finite_are_refused(
+    old: str, new: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = BAR.format(actuators=PD, flags="", joint="", options="")
+    assert old in text
+    Path("whole.xml").write_text(text.replace(old, new))
+    Path("robot.xml").write_text('<mujoco><include file="whole.xml"/></mujoco>')
+    for robot in ("whole.xml", "robot.xml"):
+        done = run("joints", robot, "--simulated")
+        assert done.exit_code == 2
+        assert_one_sentence(done.stderr)
+    assert {path.name for path in tmp_path.iterdir()} == {"whole.xml", "robot.xml"}  # no log
+
+
+def test_a_model_with_a_number_that_is_not_finite_is_refused() -> None:
+    model = bar()
+    model.dof_damping[0] = math.nan
+    with pytest.raises(ValueError, match="not finite, in dof_damping; give"):
+        jaxstab.joints(model, simulated=True)
 
 
 def test_a_joint_without_a_name_has_one_of_its_own() -> None:
@@ -462,6 +540,26 @@ def test_urdf_is_read_without_its_meshes_and_slides_have_units_of_their_own(
     assert "slide  slides  3" in run(*command).stdout
     (tmp_path / "lift.urdf").write_text(URDF.replace('"slide"', '"&#155;2J&#127;"'))  # it clears
     assert "\\x9b2J\\x7f  slides  3" in run(*command[:2], *command[4:]).stdout
+
+
+@pytest.mark.parametrize(
+    ("extra", "words"),
+    [
+        ("", " (assumed: the file has no timestep and no integrator)"),
+        (
+            '<mujoco><option timestep="0.001"/></mujoco>',
+            "step of 1 ms, implicit-joint (assumed: the file has no integrator)",
+        ),
+        ('<mujoco><option timestep="0.001" integrator="Euler"/></mujoco>', "implicit-joint\n"),
+    ],
+)
+def test_a_step_that_urdf_does_not_have_is_called_assumed(
+    extra: str, words: str, tmp_path: Path
+) -> None:
+    (tmp_path / "lift.urdf").write_text(URDF.replace("</robot>", f"{extra}</robot>"))
+    gains = {"slide": {"kp": 100.0, "kd": 1.0}}
+    assert words in str(jaxstab.joints(tmp_path / "lift.urdf", simulated=True, gains=gains))
+    assert "assumed" not in str(jaxstab.joints(tmp_path / "lift.urdf", rate=500.0, gains=gains))
 
 
 def test_the_page_shows_what_the_command_prints(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -753,9 +851,9 @@ def test_the_exit_code_tells_a_ci_of_a_joint_that_is_not_stable(tmp_path: Path) 
     command = ["joints", tmp_path / "arm.xml", "--rate", "500", "--delay", "2e-3"]
     done = run(*command, "--csv", "-", "--safe-gains", tmp_path / "safe.yaml")
     assert done.exit_code == 1
-    header, shoulder, elbow = (line.split(",") for line in done.stdout.splitlines())
-    assert dict(zip(header, shoulder, strict=True))["verdict"] == "no gains"
-    assert dict(zip(header, elbow, strict=True))["verdict"] == "unstable"
+    verdicts = {row["joint"]: row["verdict"] for row in csv.DictReader(done.stdout.splitlines())}
+    expected = {"shoulder": "no gains", "elbow": "unstable", "all joints at once": "unstable"}
+    assert verdicts == expected
     safe = [*command, "--gains", tmp_path / "safe.yaml"]
     assert run(*safe).exit_code == 0
     assert run(*command, "--simulated").exit_code == 1

@@ -771,11 +771,12 @@ def joints(
     safe_gains: Path | None,
     **asked: Any,
 ) -> int:
-    """Judge kp and kd of each joint of a ROBOT (MJCF or URDF).
+    """Judge kp and kd of each joint of a ROBOT (MJCF or URDF), and of all joints at once.
 
-    For every inertia that a joint has over its postures. Gains are those of the file's position
-    actuators, or of --gains. With --simulated and no --rate they are inside of the simulation's
-    step. The exit code is 0 if all gains are proved stable, 1 if not, or if no joint has any.
+    Each joint for every inertia that it has over its postures, the robot at sampled postures. Gains
+    are those of the file's position actuators, or of --gains. With --simulated and no --rate they
+    are inside of the simulation's step. The exit code is 0 if the gains are stable, for each joint
+    (proved) and for all at once (computed), 1 if not, or if no joint has any.
     """
     from jaxstab.scene.joints import read_gains
 

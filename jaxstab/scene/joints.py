@@ -3,8 +3,9 @@
 MuJoCo reads MJCF and URDF, and gives the mass matrix M of a posture. One joint under kp and kd, the
 others without torque, moves as an inertia 1/(M^-1)_ii; with the others held as M_ii, which is never
 less. Both are sampled over postures; armature is in M, and adds to both (Sherman, Morrison). Each
-joint is judged alone (``loop.joint``); those that move only with others are named with the reason.
-Left out are gravity, and that other joints are controlled at the same time.
+joint is judged alone (``loop.joint``), proved; those that move only with others are named with the
+reason. Controlled at the same time, joints shake each other through M: the whole robot is judged by
+its eigenvalues at the sampled postures (``loop.together``), computed. Gravity is left out.
 """
 
 import os
@@ -27,9 +28,10 @@ import numpy as np
 
 from jaxstab.conventions import Verdict
 from jaxstab.loop.joint import PD, Joint, JointControl, JointLoop
+from jaxstab.loop.together import RobotLoop, verdict_of
 from jaxstab.model.filters import Velocity
 from jaxstab.numbers import checked_count, checked_number
-from jaxstab.scene.answers import FORMATS, Answer, GainAnswer, Quantity, formats_of
+from jaxstab.scene.answers import FORMATS, Answer, GainAnswer, Quantity, formats_of, in_words
 from jaxstab.scene.loops import BUT_FOR_DRIFT
 from jaxstab.scene.scene import Controller, Units
 from jaxstab.shown import rounded_text, shortened, table_text
@@ -38,6 +40,7 @@ from jaxstab.tables import text_of
 mujoco: Any = lazy_loader.load("mujoco")  # loaded at its first use
 
 _SEED = 55  # of the postures
+_MOST_NUMBERS = 2.5e7  # in the mass matrices that are kept: 200 MB
 MOST_BYTES = 100_000_000
 """Of a robot file."""
 
@@ -53,10 +56,10 @@ def joints(
     simulated: bool = False,
     postures: int = 256,
 ) -> "Joints":
-    """The verdict on the gains of each joint of a robot, for every inertia that it may have.
+    """The verdict on the gains of each joint of a robot, and on all joints at once.
 
-    One joint is asked at a time, the others held or without torque: that all are stable alone does
-    not say that they are together.
+    Each joint alone is answered for every inertia that it may have, the others held or without
+    torque. The robot, with the gains of all joints, is answered at the sampled postures.
 
     Args:
         robot: an MJCF or URDF file, or a ``mujoco.MjModel``.
@@ -71,7 +74,7 @@ def joints(
         postures: how many are sampled over the joints' ranges.
 
     Returns:
-        Joints: a ``JointAnswer`` by the name of each joint.
+        Joints: a ``JointAnswer`` by the name of each joint, and ``together`` for the robot.
 
     Raises: see ``jaxstab.conventions``; RuntimeError without MuJoCo; ValueError also for files that
     it does not read, and joints and rules of integration that are not known.
@@ -87,9 +90,12 @@ def joints(
     """
     count = checked_count("postures", postures, 1, 100_000)
     optional("mujoco")
-    with _mujoco_warnings():
-        model = model_of(robot)
-        found = joints_of(model, count)
+    with _mujoco_warnings() as heard:
+        model, assumed = model_of(robot)
+        if any("NaN" in words for words in heard):  # which counts as a number that is not given
+            raise ValueError(f"{robot} has a number NaN; give finite numbers.")
+        _require_finite(model)
+        found, robot_at = joints_of(model, count)
     timing = {"rate": rate, "delay": delay, "jitter": jitter, "velocity": velocity}
     control = _control(model, simulated=simulated, **timing)
     given = _checked_gains({} if gains is None else gains, [*found])
@@ -101,8 +107,12 @@ def joints(
         questions[name] = JointLoop(control, judged, given.get(name, own.gains))
     source = str(robot) if isinstance(robot, str | PathLike) else "a model"
     sampled = f"at {postures} postures, with the other joints free to held; armature included"
-    inputs = GainAnswer({"robot": source, "loop": str(control), "inertia": sampled})
-    return Joints(inputs, {name: _answer(own) for name, own in questions.items()}, questions)
+    loop = f"{control} ({assumed})" if assumed and simulated else str(control)
+    inputs = GainAnswer({"robot": source, "loop": loop, "inertia": sampled})
+    answers = {name: _answer(own) for name, own in questions.items()}
+    pairs = {name: own.gains for name, own in questions.items() if not own.joint.reason}
+    together = _together(robot_at, control, pairs)
+    return Joints(inputs, answers, together, questions, robot_at)
 
 
 def _control(
@@ -224,6 +234,7 @@ _FORMATS = {
 }
 _AT_ENDS = "at both ends of its range"
 _NO_GAINS = "no gains"
+_AT_ONCE = "all joints at once"
 
 
 @dataclass(frozen=True)
@@ -300,6 +311,44 @@ class JointAnswer(Answer):
 
 
 @dataclass(frozen=True)
+class Together(Answer):
+    """All joints of a robot at once, at sampled postures: computed eigenvalues, not a proof.
+
+    Joints without an answer count as without torque. With more than about 40 joints, or a long
+    window, only the postures with the largest gains per inertia are asked.
+
+    Attributes:
+        verdict: UNDECIDED also with a delay that varies, unless a constant one is unstable.
+        postures: at how many it is computed.
+        unstable_postures: at how many of them it is not stable.
+        spectral_radius: the largest of all postures: above 1, the growth in one sample.
+        mostly_in: the joints whose gains have the largest shares of that motion.
+        posture: where that is, by the names of joints, in rad and m.
+
+    Example:
+        >>> answer = jaxstab.joints("data/robots/arm.xml", rate=500.0, delay=2e-3)
+        >>> found = answer.together
+        >>> found.verdict.name, found.postures, found.unstable_postures, found.mostly_in
+        ('UNSTABLE', 256, 109, 'elbow')
+        >>> found.as_json()["verdict"]
+        'unstable'
+    """
+
+    verdict: Verdict | str
+    postures: int
+    unstable_postures: int
+    spectral_radius: float
+    mostly_in: str
+    posture: dict[str, float]
+
+    def _quantity(self, name: str) -> Quantity:
+        return Quantity()
+
+    def _units_of_keys(self, units: Units) -> dict[str, str]:
+        return {}
+
+
+@dataclass(frozen=True)
 class Joints(Answer):
     """The answers for all joints of a robot by their names, printed as a table.
 
@@ -311,49 +360,83 @@ class Joints(Answer):
         shoulder  turns   0.05629 to 0.1062     0.1      0         100  5   stable   513...
         elbow     turns   0.005646 to 0.009691  0        0.1       20   3   stable   132...
         ...
-        >>> answer.all_stable, [row[:2] for row in answer.rows()]
-        (True, [['joint', 'motion'], ['shoulder', 'turns'], ['elbow', 'turns']])
+        >>> answer.all_stable, [row[0] for row in answer.rows()]
+        (True, ['joint', 'shoulder', 'elbow', 'all joints at once'])
         >>> answer.as_json()["joints"]["elbow"]["verdict"], answer.as_yaml().count("kp: ")
         ('stable', 2)
     """
 
     inputs: GainAnswer
     joints: dict[str, JointAnswer]
+    together: Together | None
     questions: dict[str, JointLoop] = field(repr=False)
+    robot: "Postures" = field(repr=False)
 
     @property
     def all_stable(self) -> bool:
-        """True if all gains that are judged are proved stable, and there are some."""
+        """True if the gains that are judged are stable, joint by joint and at once; there are some.
+
+        Each joint is proved; all at once are computed at the sampled postures.
+        """
         judged = [joint for joint in self.joints.values() if joint.kp_growth is not None]
-        return bool(judged) and all(joint.is_stable for joint in judged)
+        return (
+            all(joint.is_stable for joint in judged)
+            and self.together is not None
+            and self.together.verdict in (Verdict.STABLE, BUT_FOR_DRIFT)
+        )
 
     def safe_gains(self) -> dict[str, dict[str, float]]:
-        """Gains of which the doubles are proved stable, too, for every inertia.
+        """Gains of which the doubles are stable, too: each joint proved, all at once computed.
 
         They are the joint's own or the largest of their halves, at the same damping ratio; where it
-        has none, or only kp, those from critical damping at 1/T on. Joints without an answer, and
-        without a proof, are left out.
+        has none, or only kp, those from critical damping at 1/T on. If all joints at once are not
+        stable at the sampled postures with 2.1 times these gains, all are lowered together. Joints
+        without an answer, and without a proof, are left out, as without torque. A delay that varies
+        is, for all joints at once, each of its ends as a constant one.
 
         Example:
             >>> answer = jaxstab.joints("data/robots/arm.xml", rate=500.0, delay=2e-3)
             >>> answer.safe_gains()["elbow"]
-            {'kp': 2.5, 'kd': 1.061}
+            {'kp': 1.768, 'kd': 0.8922}
         """
         asked = {name: own for name, own in self.questions.items() if not own.joint.reason}
-        pairs = {name: _safe(question) for name, question in asked.items()}
-        return {name: {"kp": pair[0], "kd": pair[1]} for name, pair in pairs.items() if pair}
+        alone = {name: pair for name, own in asked.items() if (pair := _safe(own))}
+        for share in 2.0 ** (-0.25 * np.arange(60.0 * bool(alone))):
+            pairs = {name: _rounded(share**2 * kp, share * kd) for name, (kp, kd) in alone.items()}
+            are_proved = (_is_safe(asked[name], pair) for name, pair in pairs.items())
+            if self._are_safe_together(pairs) and all(are_proved):
+                return {name: {"kp": pair[0], "kd": pair[1]} for name, pair in pairs.items()}
+        return {}
+
+    def _are_safe_together(self, pairs: Mapping[str, PD]) -> bool:
+        """True if the robot is stable at all postures with these gains, their doubles and more."""
+        loops = self.robot.loops(self._control, pairs)
+        grown = [loop.grown(factor) for factor in (2.1, 2.0, 1.0) for loop in loops]
+        return all(
+            verdict_of(loop.radius(self.robot.masses[place])) == Verdict.STABLE
+            for loop in grown
+            for place in self.robot.lightest(loop)
+        )
 
     def as_yaml(self) -> str:
         """The safe gains as a YAML file."""
-        head = f"# {self.inputs.values['loop']}\n# The doubles of these gains are proved, too.\n"
+        head = (
+            f"# {self.inputs.values['loop']}\n"
+            "# The doubles of these gains are stable, too: for each joint alone this is proved,\n"
+            "# for all joints at once it is computed at sampled postures.\n"
+        )
         return head + str(optional("yaml").safe_dump(self.safe_gains(), sort_keys=False))
 
     def rows(self) -> list[list[Any]]:
-        """All values for a CSV file, a row for each joint."""
-        tables = [{path: own for path, own, _ in each.leaves()} for each in self.joints.values()]
-        columns = list(dict.fromkeys(name for table in tables for name in table))
-        rows = zip(self.joints, tables, strict=True)
-        return [["joint", *columns], *([name, *map(own.get, columns)] for name, own in rows)]
+        """All values for a CSV file: a row for each joint, and one for all at once."""
+        answers = self.joints | ({_AT_ONCE: self.together} if self.together else {})
+        tables = {
+            name: {path: own for path, own, _ in each.leaves() if "." not in path}
+            for name, each in answers.items()
+        }
+        columns = list(dict.fromkeys(name for table in tables.values() for name in table))
+        rows = ([name, *map(own.get, columns)] for name, own in tables.items())
+        return [["joint", *columns], *rows]
 
     def __str__(self) -> str:
         answers = self.joints.values()
@@ -376,11 +459,29 @@ class Joints(Answer):
                 f"Inertia: sampled {sampled}.",
                 *notes,
                 *([f"Of both ends of the range alone: {', '.join(at_ends)}."] if at_ends else []),
+                *([self._together_in_words(self.together)] if self.together else []),
             ]
         )
 
+    def _together_in_words(self, found: Together) -> str:
+        control, sampled = self._control, f"{len(self.robot.masses)} postures"
+        if found.postures < len(self.robot.masses):
+            sampled = f"the {found.postures} lightest of {sampled}"
+        words = in_words(found.verdict)
+        if found.verdict == Verdict.UNSTABLE:
+            growth = Quantity(digits=5).words(found.spectral_radius)
+            words += f" at {found.unstable_postures}, growing by {growth} a "
+            words += f"{'step' if control.is_inside else 'sample'}, mostly in {found.mostly_in}"
+        elif control.jitter:
+            words += ", as the delay varies"
+        return f"All joints at once, computed at {sampled}: {words}."
+
+    @property
+    def _control(self) -> JointControl:
+        return next(iter(self.questions.values())).control
+
     def _values(self) -> Mapping[str, Any]:
-        return {"inputs": self.inputs, "joints": self.joints}
+        return {"inputs": self.inputs, "joints": self.joints, "together": self.together}
 
 
 def _answer(question: JointLoop) -> JointAnswer:
@@ -416,47 +517,149 @@ def _safe(question: JointLoop) -> PD | None:
     critical = joint.least / period**2, 2.0 * joint.least / period
     for kp, kd in filter(any, (question.gains, critical)):
         for share in 0.5 ** np.arange(60.0):
-            pair = [float(rounded_text(gain, 4)) for gain in (share * kp, share**0.5 * kd)]
-            tried = (replace(question, gains=(n * pair[0], n * pair[1])) for n in (2.0, 1.0))
-            with suppress(ValueError):  # of numbers that are too large to compute with
-                if all(each.verdict() == Verdict.STABLE for each in tried):
-                    return pair[0], pair[1]
+            pair = _rounded(share * kp, share**0.5 * kd)
+            if _is_safe(question, pair):
+                return pair
     return None
+
+
+def _is_safe(question: JointLoop, pair: PD) -> bool:
+    """True if two gains and their doubles are proved stable."""
+    tried = (replace(question, gains=(n * pair[0], n * pair[1])) for n in (2.0, 1.0))
+    with suppress(ValueError):  # of numbers that are too large to compute with
+        return all(each.verdict() == Verdict.STABLE for each in tried)
+    return False
+
+
+def _rounded(kp: float, kd: float) -> PD:
+    """Gains as they are written."""
+    return float(rounded_text(kp, 4)), float(rounded_text(kd, 4))
+
+
+# All joints at once.
+
+
+@dataclass(frozen=True)
+class Postures:
+    """A robot at sampled postures.
+
+    Attributes:
+        masses: mass matrices, (posture, n, n).
+        places: positions, (posture, n), of degrees of freedom that joints have alone.
+        dofs: their numbers by the names of joints.
+        damping, spring: of each degree of freedom, (n,).
+    """
+
+    masses: np.ndarray
+    places: np.ndarray
+    dofs: dict[str, int]
+    damping: np.ndarray
+    spring: np.ndarray
+
+    def loops(self, control: JointControl, pairs: Mapping[str, PD]) -> list[RobotLoop]:
+        """The loop under gains by the names of joints: at its delay, or both ends of it."""
+        kp, kd = np.zeros_like(self.damping), np.zeros_like(self.damping)
+        for name, pair in pairs.items():
+            kp[self.dofs[name]], kd[self.dofs[name]] = pair
+        ends = [control, *([control._replace(jitter=0.0)] if control.jitter else [])]
+        return [RobotLoop(end, self.damping, self.spring, kp, kd) for end in ends]
+
+    def lightest(self, loop: RobotLoop) -> list[int]:
+        """The postures that are asked: those with the largest gains for the inertia first."""
+        size = len(loop.one_period(self.masses[0]))
+        order = np.argsort([-loop.lightness(mass) for mass in self.masses], kind="stable")
+        return [*order[: max(_FEWEST, int(_MOST_WORK / size**3))].tolist()]
+
+
+_MOST_WORK = 1e9  # states cubed, about 5 s
+_FEWEST = 8
+_MOSTLY = 0.75  # of a motion, in the joints that are named
+
+
+def _together(robot: Postures, control: JointControl, pairs: Mapping[str, PD]) -> Together | None:
+    """The answer for all joints that have gains; None if there are none."""
+    if not any(map(any, pairs.values())):
+        return None
+    loops = robot.loops(control, pairs)
+    places = robot.lightest(loops[0])
+    radii = np.array([[loop.radius(robot.masses[place]) for place in places] for loop in loops])
+    late, worst = np.unravel_index(np.argmax(radii), radii.shape)  # of NaN the first one
+    codes = [verdict_of(radius) for radius in np.max(radii, axis=0).tolist()]
+    verdict: Verdict | str = Verdict.STABLE
+    if control.jitter or Verdict.UNDECIDED in codes:
+        verdict = Verdict.UNDECIDED
+    elif any(loops[0].drifts):
+        verdict = BUT_FOR_DRIFT
+    verdict = Verdict.UNSTABLE if Verdict.UNSTABLE in codes else verdict
+    shares = loops[late].shares(robot.masses[places[worst]])
+    order = sorted(pairs, key=lambda name: -shares[robot.dofs[name]])
+    covered = np.cumsum([shares[robot.dofs[name]] for name in order])
+    mostly = order[: 1 + int(np.searchsorted(covered, _MOSTLY))]
+    return Together(
+        verdict,
+        len(places),
+        codes.count(Verdict.UNSTABLE),
+        float(radii[late, worst]),
+        ", ".join(mostly),
+        {name: float(robot.places[places[worst], dof]) for name, dof in robot.dofs.items()},
+    )
 
 
 # Robot files, as MuJoCo reads them.
 
 
 @contextmanager
-def _mujoco_warnings() -> Iterator[None]:
+def _mujoco_warnings() -> Iterator[list[str]]:
     """Pass MuJoCo's warnings on to Python; by default they go to MUJOCO_LOG.TXT in this folder."""
     former, heard = mujoco.get_mju_user_warning(), list[str]()
     mujoco.set_mju_user_warning(heard.append)
     try:
-        yield
+        yield heard
     finally:
         mujoco.set_mju_user_warning(former)
     for words in dict.fromkeys(heard):
         warnings.warn(f"MuJoCo: {words}", stacklevel=4)
 
 
-def model_of(robot: Any) -> Any:
-    """The model of a file, or a copy of one; of URDF neither shapes nor meshes are read."""
+def model_of(robot: Any) -> tuple[Any, str]:
+    """The model of a file, or a copy of one, and which options of MuJoCo are assumed.
+
+    Of URDF neither shapes nor meshes are read.
+    """
     if isinstance(robot, mujoco.MjModel):
-        return copy(robot)
+        return copy(robot), ""
     if not isinstance(robot, str | PathLike):
         raise TypeError(f"robot is {shortened(robot)}; give a file name or a mujoco.MjModel.")
     try:
         root = ElementTree.fromstring(text_of(robot, MOST_BYTES))
         if root.tag != "robot" and os.path.isfile(robot):  # a pipe is read once
-            return mujoco.MjModel.from_xml_path(str(robot))
+            return mujoco.MjModel.from_xml_path(str(robot)), ""
         for link in root.iter("link"):
             for shape in [*link.findall("visual"), *link.findall("collision")]:
                 link.remove(shape)
-        return mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
+        model = mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
     except (ElementTree.ParseError, ValueError) as error:
         words = " ".join(str(error).split()).rstrip(".")
         raise ValueError(f"MuJoCo reads no robot from {robot}: {words}.") from error
+    given = {name for option in root.findall("mujoco/option") for name in option.attrib}
+    needed = ("timestep", "integrator") if root.tag == "robot" else ()
+    missing = [name for name in needed if name not in given]
+    return model, f"assumed: the file has no {' and no '.join(missing)}" if missing else ""
+
+
+def _require_finite(model: Any) -> None:
+    """Refuse numbers that are not finite, but for the limits of forces."""
+    numbers = {name: getattr(model, name) for name in dir(model)} | {"timestep": model.opt.timestep}
+    names = []
+    for name, values in numbers.items():
+        if isinstance(values, np.ndarray | float):
+            may_be_infinite = name.endswith("range") and name != "jnt_range"
+            is_finite = np.isfinite(values) | (may_be_infinite & np.isinf(values))
+            names += [] if np.all(is_finite) else [name]
+    if names:
+        raise ValueError(
+            f"the robot has numbers that are not finite, in {', '.join(names)}; give finite ones."
+        )
 
 
 def optional(name: str) -> Any:
@@ -469,10 +672,10 @@ def optional(name: str) -> Any:
         ) from error
 
 
-def joints_of(model: Any, postures: int) -> dict[str, Joint]:
-    """The joints by their names, with their inertias over postures."""
-    least, greatest = _inertias(model, postures)
-    reasons, servos, joints = _reasons(model), _other_servos(model), {}
+def joints_of(model: Any, postures: int) -> tuple[dict[str, Joint], Postures]:
+    """The joints by their names, with their inertias over postures, and the robot there."""
+    (least, greatest), masses, places = _inertias(model, postures)
+    reasons, servos, joints = _reasons(model), _other_servos(model), dict[str, Joint]()
     no_springs, no_dampers = (_is_off(model, name) for name in ("SPRING", "DAMPER"))
     for index, (name, kind) in enumerate(zip(_names(model), model.jnt_type.tolist(), strict=True)):
         place = model.jnt_dofadr[index]
@@ -489,7 +692,16 @@ def joints_of(model: Any, postures: int) -> dict[str, Joint]:
             reasons.get(index),
             servos.get(index) or (negative if min(kp, kd) < 0.0 else None),
         )
-    return joints
+    kinds = mujoco.mjtJoint
+    is_one = np.isin(model.jnt_type, [int(kinds.mjJNT_HINGE), int(kinds.mjJNT_SLIDE)])
+    named = dict(zip(joints, model.jnt_dofadr.tolist(), strict=True))
+    dofs = {name: named[name] for name, one in zip(named, is_one.tolist(), strict=True) if one}
+    damping, spring = model.dof_damping * (not no_dampers), np.zeros(model.nv)
+    damping[[*dofs.values()]] = [joints[name].damping for name in dofs]
+    spring[[*dofs.values()]] = [joints[name].spring for name in dofs]
+    at = np.zeros((len(places), model.nv))
+    at[:, [*dofs.values()]] = places[:, model.jnt_qposadr[is_one]]
+    return joints, Postures(masses, at, dofs, damping, spring)
 
 
 def _names(model: Any) -> list[str]:
@@ -520,12 +732,13 @@ def _acting(model: Any) -> np.ndarray:
 
 def _actuators(model: Any, joint: int) -> tuple[PD, float]:
     """The gains of the position and velocity actuators of a joint, and the damping they add."""
-    own = _at_joints(model) & (model.actuator_trnid[:, 0] == joint) & _acting(model)
+    own = _at_joints(model) & (model.actuator_trnid[:, 0] == joint)
     has_bias = np.equal(model.actuator_biastype, int(mujoco.mjtBias.mjBIAS_AFFINE))
-    gear = model.actuator_gear[own, 0] ** 2  # of the angle, and of the torque
-    damping = getattr(model, "actuator_damping", np.zeros(len(own)))[own]  # new versions have it
-    kp, kd = -(gear * has_bias[own]) @ model.actuator_biasprm[own, 1:3]
-    return (float(kp) + 0.0, float(kd) + 0.0), float(gear @ damping)
+    gear = own * model.actuator_gear[:, 0] ** 2  # of the angle, and of the torque
+    # New versions have damping, that of disabled actuators acts, too.
+    damping = gear @ getattr(model, "actuator_damping", np.zeros(len(own)))
+    kp, kd = -(gear * has_bias * _acting(model)) @ model.actuator_biasprm[:, 1:3]
+    return (float(kp) + 0.0, float(kd) + 0.0), float(damping)
 
 
 def _at_joints(model: Any) -> np.ndarray:
@@ -562,8 +775,7 @@ def _is_pd(model: Any, actuator: int) -> bool:
         "mjGAIN_PID": gain == 0.0,  # of the integral
     }
     is_linear = bias in ("mjBIAS_NONE", "mjBIAS_AFFINE") and has_gain.get(kind, False)
-    own = model.actuator_plugin[actuator] < 0 and not _curve(model, "actuator_damping", actuator)
-    return bool(is_linear and own)
+    return bool(is_linear and model.actuator_plugin[actuator] < 0)
 
 
 def _curve(model: Any, name: str, index: int) -> bool:
@@ -578,8 +790,15 @@ def _reasons(model: Any) -> dict[int, str]:
     for index, place in enumerate(model.jnt_dofadr.tolist()):
         if _curve(model, "jnt_stiffness", index) or _curve(model, "dof_damping", place):
             reasons[index] = "its spring or damper is not linear"
+    # The damping of an actuator acts, even if the file disables the actuator.
+    count = len(model.actuator_trntype)  # model.nu is that of their inputs
+    damping = getattr(model, "actuator_damping", np.zeros(count))
+    has_curve = np.array([_curve(model, "actuator_damping", k) for k in range(count)], bool)
+    for index in model.actuator_trnid[_at_joints(model) & has_curve, 0].tolist():
+        reasons[index] = "its spring or damper is not linear"
     at_tendon = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON)
-    driven = model.actuator_trnid[at_tendon & _acting(model), 0]
+    acts = _acting(model) | (damping != 0.0) | has_curve
+    driven = model.actuator_trnid[at_tendon & acts, 0]
     for index in range(model.ntendon):
         held = model.tendon_stiffness[index] or model.tendon_damping[index]
         curves = (_curve(model, f"tendon_{part}", index) for part in ("stiffness", "damping"))
@@ -628,11 +847,18 @@ def _along_tendons(model: Any) -> list[set[int]]:
     return [{*np.flatnonzero(changed).tolist()} for changed in changes.T]
 
 
-def _inertias(model: Any, postures: int) -> tuple[np.ndarray, np.ndarray]:
-    """The least 1/(M^-1)_ii and the greatest M_ii over postures, the file's own among them."""
+def _inertias(
+    model: Any, postures: int
+) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray, np.ndarray]:
+    """The least 1/(M^-1)_ii and the greatest M_ii over postures, the file's own among them.
+
+    With them come the mass matrices and the positions of as many postures as memory has room for.
+    """
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     data, rng, units = mujoco.MjData(model), np.random.default_rng(_SEED), np.eye(model.nv)
     mass, (least, greatest) = np.zeros_like(units), (np.full(model.nv, inf), np.zeros(model.nv))
+    room = min(postures, 1 + int(_MOST_NUMBERS / max(mass.size, 1)))
+    masses, places = np.empty((room, *mass.shape)), np.empty((room, model.nq))
     for number in range(postures):
         data.qpos[:] = _posture(model, rng) if number else model.qpos0
         mujoco.mj_fwdPosition(model, data)
@@ -644,12 +870,14 @@ def _inertias(model: Any, postures: int) -> tuple[np.ndarray, np.ndarray]:
         except np.linalg.LinAlgError:  # some motion has no inertia, which is refused below
             least[:] = 0.0
         greatest = np.maximum(greatest, np.diag(mass))
+        if number < room:
+            masses[number], places[number] = mass, data.qpos
     if not (model.nv and np.all((least > 0.0) & np.isfinite(greatest))):
         raise ValueError(
             "the robot has no joint, or its mass matrix is not positive; give one that moves, with "
             "masses and inertias of all bodies."
         )
-    return np.minimum(least, greatest), greatest
+    return (np.minimum(least, greatest), greatest), masses, places
 
 
 def _posture(model: Any, rng: np.random.Generator) -> np.ndarray:
