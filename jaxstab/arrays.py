@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import field, fields, is_dataclass
 from enum import IntEnum
 from functools import cache
-from typing import Any, ClassVar, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -29,53 +29,10 @@ Kept = TypeVar("Kept")
 Class = TypeVar("Class", bound=type)
 
 
-class NamedCode(np.int8):
-    """The code of one verdict or status: an int8 of NumPy with its name."""
-
-    kind: ClassVar[type[IntEnum]]
-
-    @property
-    def member(self) -> IntEnum:
-        """The verdict or status itself, with its words."""
-        return self.kind(int(self))
-
-    @property
-    def name(self) -> str:
-        """Its name."""
-        return self.member.name
-
-    @property
-    def value(self) -> int:
-        """Its number."""
-        return int(self)
-
-    @property
-    def words(self) -> str:
-        """The description of a status; a verdict has none but its name."""
-        return getattr(self.member, "words", self.name)
-
-    def __repr__(self) -> str:
-        return repr(self.member)
-
-    def __str__(self) -> str:
-        return self.name
-
-    def __format__(self, spec: str) -> str:
-        return format(int(self), spec) if spec else str(self)
-
-    def __reduce__(self) -> Any:  # NumPy's own pickle is a number without the name
-        return named, (np.int8(self), self.kind)
-
-
-@cache
-def _named_code(kind: type[IntEnum]) -> type[NamedCode]:
-    return type(kind.__name__, (NamedCode,), {"kind": kind})
-
-
 def named(codes: Array, kind: type[IntEnum]) -> Array:
-    """Return the code of one point as a number that prints its name; others as they are."""
+    """Return the code of one point as its member; others as they are."""
     if isinstance(codes, np.ndarray | np.int8) and codes.ndim == 0:
-        return _named_code(kind)(codes)
+        return kind(int(codes))
     return codes
 
 

@@ -44,6 +44,12 @@ class Code(IntEnum):
         # An array has no hash, by which Python finds a member: the code of one point is its number.
         return cls(value.item()) if getattr(value, "shape", None) == () else None
 
+    def __str__(self) -> str:
+        return self.name
+
+    def __format__(self, spec: str) -> str:
+        return format(int(self), spec) if spec else str(self)
+
 
 class Verdict(Code):
     """A verdict on the stability of one point.
@@ -52,15 +58,25 @@ class Verdict(Code):
     the unit circle. Zero means that nothing was computed, so a block of a file that was wiped or
     never written cannot be mistaken for a verdict.
 
+    STABLE alone is true: ``if verdict:`` asks for a proof. Several points, and arrays of JAX, have
+    int8 codes, of which NumPy takes all but 0 for true: compare them, ``codes == Verdict.STABLE``.
+
     Example:
-        >>> jaxstab.verdict(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0)
-        <Verdict.STABLE: 1>
+        >>> found = jaxstab.verdict(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0)
+        >>> found, bool(found), bool(jaxstab.Verdict.UNDECIDED)
+        (<Verdict.STABLE: 1>, True, False)
+        >>> codes = jaxstab.verdict([0.1, 1.0], 0.2, gamma=0.0, delta=0.015, delay=1.0)
+        >>> (codes == jaxstab.Verdict.STABLE).tolist()
+        [True, False]
     """
 
     NOT_COMPUTED = 0
     STABLE = 1
     UNSTABLE = 2
     UNDECIDED = 3
+
+    def __bool__(self) -> bool:
+        return self is Verdict.STABLE
 
 
 class Status(Code):

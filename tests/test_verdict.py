@@ -11,6 +11,7 @@ import pytest
 from campaign import first
 from mpmath import mp, mpf
 
+import jaxstab
 from benchmarks.hard_loops import points_near_the_boundary, random_plants
 from benchmarks.truth import loop as truth
 from benchmarks.truth.balls import ExactPlant, moduli
@@ -209,6 +210,38 @@ def test_a_code_in_an_array_of_one_number_is_that_verdict(array: Callable[..., A
     assert Verdict(array(2, np.int8)) is Verdict.UNSTABLE
     with pytest.raises(ValueError, match="7 is not a valid Verdict"):
         Verdict(array(7, np.int8))
+
+
+@pytest.mark.parametrize(("wall", "stable"), [((1000.0, 10.0), True), ((1e6, 10.0), False)])
+def test_a_verdict_is_true_where_stability_is_proved_and_nowhere_else(
+    wall: tuple[float, float], *, stable: bool
+) -> None:
+    """As in ``if loop.verdict(K, B): send()``: the answers about one point are members."""
+    loop = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+    point = {"gamma": loop.gamma, "delta": loop.delta, "delay": loop.delay_samples}
+    alpha, beta = loop.alpha(wall[0]), loop.beta(wall[1])
+    pd = jaxstab.simulated_pd(0.1, step=1e-3)
+    with_hands = jaxstab.robust_region(gamma=(0.0, 1e-3), delta=(0.015, 0.015), delay=0.0)
+    atlas = jaxstab.open_atlas("data/golden/atlas-v4.h5")
+    verdicts = [
+        loop.verdict(*wall),
+        verdict(alpha, beta, **point),
+        loop.margins(*wall).verdict,
+        loop.frequency_margins(*wall).verdict,
+        pd.verdict(kp=wall[0], kd=wall[1]),
+        pd.margins(kp=wall[0], kd=wall[1]).verdict,
+        loop.worst_hand(jaxstab.HandRange(stiffness=(0.0, 10.0)), *wall).verdict,
+        loop.verdict(*wall, delays=(0.0, 1e-4)),
+        with_hands.verdict(alpha, beta),
+        atlas.query(alpha, beta, gamma=5e-4, delta=0.015, delay=0.0).verdict,
+        jaxstab.is_schur([1.0, 0.5 if stable else 1.5]),
+    ]
+    assert all(isinstance(found, Verdict) for found in verdicts)
+    assert [bool(found) for found in verdicts] == [stable] * len(verdicts)
+
+
+def test_no_other_verdict_is_true() -> None:
+    assert [code for code in Verdict if code] == [Verdict.STABLE]
 
 
 def test_kernels_are_chosen_by_the_degree_and_how_many_points_there_are(

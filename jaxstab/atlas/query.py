@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from jaxstab.arrays import Array, named
 from jaxstab.atlas import file
 from jaxstab.atlas.table import PLANT, AlphaLimits, LimitTable
 from jaxstab.conventions import AXES, Status, Verdict
@@ -50,8 +51,8 @@ class AtlasAnswer:
     """The answer of an atlas about points; two arrays of the broadcast shape of the query.
 
     Attributes:
-        verdict: int8 codes of ``jaxstab.Verdict``.
-        status: int8 codes of ``QueryStatus``: how this is known.
+        verdict: the ``jaxstab.Verdict`` on one point, int8 codes of several.
+        status: a ``QueryStatus`` or codes likewise: how this is known.
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v4.h5")
@@ -60,8 +61,8 @@ class AtlasAnswer:
         ['COMPUTED', 'COMPUTED']
     """
 
-    verdict: NDArray[np.int8]
-    status: NDArray[np.int8]
+    verdict: Array
+    status: Array
 
 
 class Atlas:
@@ -152,7 +153,9 @@ class Atlas:
             own = [np.broadcast_to(values, codes.shape)[pending] for values in flat]
             codes[pending] = self._computed(own)
             status[pending] = QueryStatus.COMPUTED
-        return AtlasAnswer(codes.reshape(shape), status.reshape(shape))
+        return AtlasAnswer(
+            named(codes.reshape(shape), Verdict), named(status.reshape(shape), QueryStatus)
+        )
 
     def _computed(self, point: Sequence[Floats]) -> NDArray[np.int8]:
         from jaxstab.point import verdict

@@ -12,7 +12,7 @@ from math import sqrt
 import numpy as np
 from jaxtyping import Bool, Float64, Int8
 
-from jaxstab.arrays import Numbers
+from jaxstab.arrays import Numbers, named
 from jaxstab.boxes.search import (
     NOTHING,
     Guess,
@@ -83,7 +83,7 @@ class RobustRegion:
         """
         return np.asarray(self.verdict(alpha, beta) == Verdict.STABLE)
 
-    def verdict(self, alpha: Numbers, beta: Numbers) -> Int8[np.ndarray, "*grid"]:
+    def verdict(self, alpha: Numbers, beta: Numbers) -> Verdict | Int8[np.ndarray, "*grid"]:
         """A proved code of ``Verdict`` for each wall and all hands of the range.
 
         STABLE where the wall is proved stable for every hand, UNSTABLE where it is proved unstable
@@ -98,7 +98,7 @@ class RobustRegion:
             range_of_hands = self.gamma, self.delta, self.delay
             if not len(failures(walls[[number]], *range_of_hands, filters=self.filters)):
                 codes[number] = Verdict.STABLE
-        return codes.reshape(grid.shape[:-1])
+        return named(codes.reshape(grid.shape[:-1]), Verdict)
 
 
 def robust_region(

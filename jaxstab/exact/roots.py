@@ -250,9 +250,11 @@ def stable_over(p: Callable[[float, float], Factored], first: Axis, second: Axis
             return None
         return _sign(left * flint.arb_mat(*counts, values) * right.transpose())
 
-    code = decided(judged, most=_MOST_BITS) or Verdict.UNDECIDED
+    code = decided(judged, most=_MOST_BITS)
     is_wider = first.is_narrow or second.is_narrow
-    return Verdict.UNDECIDED if is_wider and code == Verdict.UNSTABLE else code
+    if code is None or (is_wider and code == Verdict.UNSTABLE):
+        return Verdict.UNDECIDED
+    return code
 
 
 def _clearance(p: Factored) -> "arb | Verdict | None":

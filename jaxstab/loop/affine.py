@@ -17,7 +17,7 @@ from decimal import ROUND_CEILING, ROUND_FLOOR
 from fractions import Fraction
 from functools import cached_property, partial
 from math import inf
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import numpy as np
 from jaxtyping import Float64, Int8
@@ -236,7 +236,11 @@ class Loop(TwoGains):
         names = ", ".join(gain.name for gain in self.gains)
         return f"Loop of ({names}): {self.words}"
 
-    def verdict(self, **gains: Numbers) -> Int8[Array, "*grid"]:
+    @overload
+    def verdict(self, **gains: float) -> Verdict: ...
+    @overload
+    def verdict(self, **gains: Numbers) -> Int8[Array, "*grid"]: ...
+    def verdict(self, **gains: Numbers) -> Verdict | Int8[Array, "*grid"]:
         """Proved verdicts on gains: codes of ``jaxstab.Verdict``, of any shape.
 
         Each takes about 0.1 ms; more than a hundred, and JAX arrays, are a grid that takes less

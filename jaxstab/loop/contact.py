@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int8
 
-from jaxstab.arrays import Numbers, is_any_traced, named
+from jaxstab.arrays import Array, Numbers, is_any_traced, named
 from jaxstab.conventions import Status
 from jaxstab.loop.jitter import turn_of
 from jaxstab.model import LoopParameters, checked_gain, require_x64
@@ -79,7 +79,7 @@ class Contact(NamedTuple):
         <ContactKind.BOUNCES: 3>
     """
 
-    kind: Int8[np.ndarray, "*grid"]
+    kind: Int8[Array, "*grid"]
     amplitude: Float64[np.ndarray, "*grid"]
     frequency: Float64[np.ndarray, "*grid"]
     time_to_rest: Float64[np.ndarray, "*grid"]

@@ -285,7 +285,7 @@ class MovingLoop(NamedTuple):
         late = partial(self.late_cosines, self.delays.jitter)
         return small_gain(partial(ball_loop, self.loop), late, stiffness, damping)
 
-    def verdict(self, stiffness: Numbers, damping: Numbers) -> Int8[Array, "*grid"]:
+    def verdict(self, stiffness: Numbers, damping: Numbers) -> Verdict | Int8[Array, "*grid"]:
         """Return the verdicts on walls: ``HapticLoop.verdict``."""
         return named(each_wall(self.code, np.int8, stiffness, damping), Verdict)
 

@@ -454,6 +454,17 @@ class HapticLoop(LoopParameters, TwoGains):
 
         return LoopsWithHands(self, hands, mass, delay, delays, lost).robust_limit()
 
+    @overload
+    def verdict(
+        self,
+        stiffness: float,
+        damping: float,
+        *,
+        delays: Range | None = None,
+        lost: int = 0,
+        resolve: str | None = None,
+    ) -> Verdict: ...
+    @overload
     def verdict(
         self,
         stiffness: Numbers,
@@ -462,7 +473,16 @@ class HapticLoop(LoopParameters, TwoGains):
         delays: Range | None = None,
         lost: int = 0,
         resolve: str | None = None,
-    ) -> Int8[Array, "*grid"]:
+    ) -> Int8[Array, "*grid"]: ...
+    def verdict(
+        self,
+        stiffness: Numbers,
+        damping: Numbers,
+        *,
+        delays: Range | None = None,
+        lost: int = 0,
+        resolve: str | None = None,
+    ) -> Verdict | Int8[Array, "*grid"]:
         """Prove whether walls are stable: all roots of p(z) inside the unit circle.
 
         With ``delays`` the delay of the loop may change from sample to sample. STABLE then means

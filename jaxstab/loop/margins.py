@@ -276,7 +276,7 @@ def margins_of(point: Array, code: Array, ends: Array) -> Margins:
     """The margins of walls, whose first numbers are alpha and beta, from the ends of their ways."""
     xp = namespace(point)
     return Margins(
-        code.astype(xp.int8),
+        named(code.astype(xp.int8), Verdict),
         ends[..., :2],
         ends[..., 2:4],
         _factor(xp, ends[..., 1], point[..., 0]),
@@ -386,7 +386,7 @@ def margins_of_gains(
     factors = np.where((pairs[..., None] == 0.0) & ~np.isnan(alone), [0.0, inf], factors)
     factors = np.maximum(np.concatenate([factors, ends[..., 2:, :]], axis=-2), 0.0)
     columns = np.moveaxis(np.concatenate([alone, factors], axis=-2), -2, 0)
-    return GainMargins._make([codes, *columns, names])
+    return GainMargins._make([named(codes, Verdict), *columns, names])
 
 
 # Margins in the language of frequency.
@@ -437,7 +437,7 @@ class FrequencyMargins(NamedTuple):
         disk margin                     0.77135           22.132 Hz
     """
 
-    verdict: Int8[np.ndarray, "*grid"]
+    verdict: Int8[Array, "*grid"]
     least_gain: AtFrequency
     largest_gain: AtFrequency
     phase: AtFrequency

@@ -25,7 +25,7 @@ from jaxstab.rounding import SAFETY, UNIT
 from jaxstab.shown import shortened
 
 
-def is_schur(coefficients: Numbers) -> Int8[Array, "*grid"]:
+def is_schur(coefficients: Numbers) -> Verdict | Int8[Array, "*grid"]:
     """Prove for each polynomial whether all its roots lie inside the unit circle.
 
     Args:

@@ -304,7 +304,7 @@ def verdict(
     resolve: str | None = None,
     velocity: Velocity | None = None,
     position: Filter | None = None,
-) -> Int8[Array, "*grid"]:
+) -> Verdict | Int8[Array, "*grid"]:
     """Prove for every point whether all roots of p(z) lie inside the unit circle.
 
     STABLE and UNSTABLE are proofs: the rounding of plant, coefficients and recursion is bounded.

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxstab.atlas import Atlas, AtlasSpec, QueryStatus
+from jaxstab.atlas import Atlas, AtlasSpec
 from jaxstab.conventions import Verdict
 from jaxstab.guard import Guard, build_guard
 from jaxstab.guard.build import CELLS, CONSTANT_CELLS
@@ -149,8 +149,8 @@ def ask_atlas(scene: Scene, atlas: Atlas) -> tuple[dict[str, Any], list[dict[str
         hand = loop.hand_mass, loop.hand_stiffness, loop.hand_damping
         values = *gains, loop.device_mass, *hand, loop.delay
         row = {"wall": name, **dict(zip(units, values, strict=True))}
-        row["verdict"] = Verdict(answer.verdict.item()).name.lower()
-        row["status"] = QueryStatus(answer.status.item()).name.lower()
+        row["verdict"] = answer.verdict.name.lower()
+        row["status"] = answer.status.name.lower()
         rows.append(row)
     stated = GainAnswer({"inputs": basis_of(scene)}).as_json()
     stated["inputs"] |= {"created_by": atlas.created_by}

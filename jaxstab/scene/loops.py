@@ -298,7 +298,8 @@ def verdict_with_drift(loop: HapticLoop, wall: Gains) -> Verdict | str | None:
 
 def wall_code(loop: HapticLoop, wall: Gains) -> Verdict | str:
     """The verdict on a wall of one loop."""
-    return verdict_with_drift(loop, wall) or Verdict(int(loop.verdict(*wall)))
+    code = verdict_with_drift(loop, wall)
+    return Verdict(int(loop.verdict(*wall))) if code is None else code
 
 
 def loops_over_delays(scene: Scene) -> list[HapticLoop]:
