@@ -473,3 +473,30 @@ def test_the_longest_loop_has_verdicts() -> None:
     loop = HapticLoop(**parts, velocity=windows[0] * poles, position=windows[1] * poles)
     assert loop.linear.degree < 1024
     assert loop.verdict(1.0, 0.01) in (Verdict.STABLE, Verdict.UNDECIDED)
+
+
+@pytest.mark.parametrize("mass", [0.1, 1.7])
+def test_arrays_of_gains_have_the_limits_of_single_ones_next_to_0(mass: float) -> None:
+    """Without damping and delay walls are stable for B > K T/2, but for terms of K T^2/m."""
+    loop = HapticLoop(device_mass=mass, device_damping=0.0, sample_time=1e-3)
+    low, stiffness = 0.5e-3, np.array([1e-6, 1e-5, 1e-4, 1e-3])
+    np.testing.assert_allclose(loop.damping_limits(stiffness)[:, 0], low * stiffness, rtol=1e-7)
+    intervals = loop.region().damping_intervals(stiffness)
+    np.testing.assert_allclose(intervals[:, 0, 0], low * stiffness, rtol=1e-7)
+    for each in stiffness.tolist():
+        np.testing.assert_allclose(loop.damping_limits(each)[0], low * each, rtol=1e-7)
+    nothing = np.array([0.0])
+    assert np.isnan(loop.stiffness_limits(0.0)).all()
+    assert np.isnan(loop.stiffness_limits(nothing)).all()
+    assert np.isnan(loop.region().stiffness_intervals(nothing)).all()
+    tiny = 1e-9  # of a damper allows K up to 2 B/T
+    np.testing.assert_allclose(loop.stiffness_limits(np.array([[tiny]])), [[[0.0, tiny / low]]])
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.4e-3, 1.5e-3])
+def test_an_end_that_is_0_is_0_however_it_is_asked_for(delay: float) -> None:
+    loop = HapticLoop(
+        device_mass=1.23, device_damping=0.0, hand_stiffness=586.3, sample_time=1e-3, delay=delay
+    )
+    assert loop.damping_limits(0.0)[0] == loop.damping_limits(np.array([0.0]))[0, 0] == 0.0
+    assert loop.damping_limits(1e-3)[0] == loop.damping_limits(np.array([1e-3]))[0, 0] > 0.0

@@ -82,6 +82,11 @@ class End(NamedTuple):
     angle_rest: float = 0.0
     change: int | None = None
 
+    @property
+    def told(self) -> float:
+        """The value; 0 where it is not told from that."""
+        return 0.0 if abs(self.value) <= self.error else self.value + 0.0
+
 
 class Interval(NamedTuple):
     """All t between two ends are stable."""

@@ -323,24 +323,24 @@ class WallRegion(GainRegion):
         NaN where none is stable. Of several intervals the one that reaches farthest is given.
         """
         require_x64(damping)
-        return self._last_interval(self.loop.beta(checked_gain("damping", damping)), axis=1)
+        return self._last_interval(checked_gain("damping", damping), axis=1)
 
     def damping_limits(self, stiffness: Numbers) -> Float64[Array, "*grid 2"]:
         """The smallest and the largest stable B at stiffnesses K in N/m, likewise."""
         require_x64(stiffness)
-        return self._last_interval(self.loop.alpha(checked_gain("stiffness", stiffness)), axis=0)
+        return self._last_interval(checked_gain("stiffness", stiffness), axis=0)
 
     def stiffness_intervals(
         self, damping: Float64[np.ndarray, " row"]
     ) -> Float64[np.ndarray, "row interval 2"]:
         """All intervals of stable K at dampings B in N s/m, ascending, then NaN."""
-        return self._intervals(self.loop.beta(checked_gain("damping", damping)), axis=1)
+        return self._intervals(checked_gain("damping", damping), axis=1)
 
     def damping_intervals(
         self, stiffness: Float64[np.ndarray, " row"]
     ) -> Float64[np.ndarray, "row interval 2"]:
         """All intervals of stable B at stiffnesses K in N/m, ascending, then NaN."""
-        return self._intervals(self.loop.alpha(checked_gain("stiffness", stiffness)), axis=0)
+        return self._intervals(checked_gain("stiffness", stiffness), axis=0)
 
     def _extreme(self, point: Float64[np.ndarray, "2"], axis: int) -> Gains:
         return Gains(*super()._extreme(point, axis).tolist())
@@ -352,18 +352,42 @@ class WallRegion(GainRegion):
         intervals = self.stiffness_intervals if axis == 1 else self.damping_intervals
         return intervals(np.array([value]))[0]
 
-    def _intervals(self, values: Float64[np.ndarray, " row"], *, axis: int) -> np.ndarray:
-        region = self.region
+    def _intervals(self, gains: Float64[np.ndarray, " row"], *, axis: int) -> np.ndarray:
+        region, values = self.region, self._in_units(gains, axis)
         ends = measures.interval_ends(region.curve, region.outline, values, axis=axis)
         count = ends.shape[1] // 2  # lines that meet nothing have one column of NaN
         intervals = self.units[1 - axis] * ends[:, : 2 * count].reshape(len(values), count, 2)
-        return without_noise(intervals, self.extent[1 - axis])
+        return self._told(gains[:, None], intervals, axis)
 
     def _last_interval(self, gains: Numbers, *, axis: int) -> Array:
         boundary, (values,) = (self.region.curve, self.region.outline), float_arrays(gains)
+        values = self._in_units(values, axis)
         limits = measures.limits(*boundary, values, axis=axis, outermost=False)
         limits = self.units[1 - axis] * limits
-        return limits if is_jax(limits) else without_noise(limits, self.extent[1 - axis])
+        return limits if is_jax(limits) else self._told(np.asarray(gains), limits, axis)
+
+    def _in_units(self, gains: Array, axis: int) -> Array:
+        return self.loop.beta(gains) if axis == 1 else self.loop.alpha(gains)
+
+    def _told(self, gains: np.ndarray, intervals: np.ndarray, axis: int) -> np.ndarray:
+        """Intervals of lines, those that the outline does not tell from 0 or a point by proof."""
+        extent = self.extent[1 - axis]
+        told, widths = (
+            without_noise(intervals, extent),
+            without_noise(np.ptp(intervals, -1), extent),
+        )
+        doubted = (widths == 0.0) | np.any((told == 0.0) & (intervals != 0.0), axis=-1)
+        known = np.broadcast_to(gains, doubted.shape)
+        for place in map(tuple, np.argwhere(doubted)):
+            line = self.loop.intervals(**{self.loop.gains[axis].name: float(known[place])})
+            own, middle = intervals[place], np.mean(intervals[place])
+            proved = [[low.told, high.told] for low, high in line.intervals]
+            beside = [ends for ends in proved if ends[0] <= middle <= ends[1]]
+            if isinf(line.horizon):  # else nothing is proved
+                nearest = np.array(beside[0] if beside else [np.nan, np.nan])
+                is_same = without_noise(nearest - own, extent) == 0.0
+                told[place] = np.where(is_same | np.isnan(nearest), nearest, told[place])
+        return told
 
 
 def _limits_of(stiffest: Gains, damped: Gains, status: RegionStatus) -> WallLimits:
@@ -389,7 +413,7 @@ def reached_interval(loop: Any, gain: str, value: float) -> Float64[np.ndarray, 
         return None
     if not line.intervals:
         return np.full(2, np.nan)
-    ends = [end.value + 0.0 for end in line.intervals[0]]  # no -0
+    ends = [end.told for end in line.intervals[0]]
     wall = {"stiffness": 0.0, "damping": sum(ends) / 2.0} | {gain: value}
     row = line if gain == "damping" else loop.intervals(damping=wall["damping"])
     steps = (row, wall["stiffness"]), (_without_stiffness(loop), wall["damping"])
