@@ -112,6 +112,25 @@ def test_an_unstable_wall_has_no_margins() -> None:
     assert all(np.isnan(field).all() for field in found[1:])
 
 
+@pytest.mark.parametrize(("wall", "most"), [((-100.0, 10.0), 5.0), ((100.0, -0.5), 2.91)])
+def test_a_negative_gain_may_be_multiplied_up_to_the_end_below_it(
+    wall: tuple[float, float], most: float
+) -> None:
+    """K ends at -k of the hand; B at about -b - 0.045, by verdicts on both sides."""
+    loop = HapticLoop(device_mass=0.1, device_damping=1.5, hand_stiffness=500.0, sample_time=1e-3)
+    margins, axis = loop.margins(*wall), int(wall[1] < 0.0)
+    factor = float((margins.damping_gain, margins.stiffness_gain)[1 - axis])
+    assert factor == pytest.approx(most, rel=1e-3)
+    for share, code in ((1.0 - 1e-9, Verdict.STABLE), (1.0 + 1e-9, Verdict.UNSTABLE)):
+        moved = list(wall)
+        moved[axis] *= factor * share
+        lower, upper = truth.spectral_radius(
+            loop.alpha(moved[0]), loop.beta(moved[1]), loop.gamma, loop.delta, loop.delay_samples
+        )
+        assert upper < 1.0 if code == Verdict.STABLE else lower > 1.0
+        assert loop.verdict(*moved) == code
+
+
 def test_a_gain_of_zero_may_be_multiplied_by_anything() -> None:
     found = PHANTOM.margins(300.0, 0.0)
     assert found.verdict == Verdict.STABLE
@@ -212,7 +231,7 @@ def test_the_derivative_of_no_margin_is_no_number() -> None:
 
 def test_margins_go_through_jit_and_do_not_need_jax() -> None:
     alone = PHANTOM.margins(300.0, 2.0)
-    assert all(isinstance(part, np.ndarray | np.number) for part in alone)
+    assert all(isinstance(part, np.ndarray | np.number | Verdict) for part in alone)
     compiled = jax.jit(lambda wall: PHANTOM.margins(wall, 2.0))(300.0)
     for one, other in zip(alone, compiled, strict=True):
         assert isinstance(other, jax.Array)

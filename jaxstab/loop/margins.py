@@ -181,8 +181,8 @@ class Margins(NamedTuple):
         verdict: codes of ``Verdict``.
         stiffness: the smallest and the largest K between which the wall stays stable at this B.
         damping: the smallest and the largest B between which it stays stable at this K.
-        stiffness_gain: the factor by which K may be multiplied; infinite for K <= 0.
-        damping_gain: the factor by which B may be multiplied; infinite for B <= 0.
+        stiffness_gain: the factor by which K may be multiplied; infinite for K = 0.
+        damping_gain: the factor by which B may be multiplied; infinite for B = 0.
         extra_delay: the time by which the delay may grow; infinite if no delay is too long, NaN
             for a device in z.
 
@@ -279,8 +279,8 @@ def margins_of(point: Array, code: Array, ends: Array) -> Margins:
         named(code.astype(xp.int8), Verdict),
         ends[..., :2],
         ends[..., 2:4],
-        _factor(xp, ends[..., 1], point[..., 0]),
-        _factor(xp, ends[..., 3], point[..., 1]),
+        _factor(xp, ends[..., :2], point[..., 0]),
+        _factor(xp, ends[..., 2:4], point[..., 1]),
         ends[..., -1],
     )
 
@@ -303,11 +303,11 @@ def in_si_units(
     )
 
 
-def _factor(xp: Any, most: Array, gain: Array) -> Array:
+def _factor(xp: Any, ends: Array, gain: Array) -> Array:
     """The factor by which a gain may be multiplied; NaN where it is not known."""
-    without = xp.where(xp.isnan(most), most, inf)
-    is_positive = gain > 0.0
-    return xp.where(is_positive, most / xp.where(is_positive, gain, 1.0), without)
+    end = xp.where(gain < 0.0, ends[..., 0], ends[..., 1])
+    without = xp.where(xp.isnan(end), end, inf)
+    return xp.where(gain != 0.0, end / xp.where(gain != 0.0, gain, 1.0), without)
 
 
 class GainMargins(NamedTuple):
