@@ -1,10 +1,12 @@
 """Loops of any two gains: truths of 40 digits, and what engines and controllers compute."""
 
 import math
+import re
 from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
+import mpmath
 import numpy as np
 import pytest
 import recursions
@@ -439,10 +441,48 @@ def test_a_row_of_gains_may_keep_the_product_of_the_roots_at_1() -> None:
 def test_printed_limits_are_rounded_to_the_stable_side() -> None:
     limits = jaxstab.pid(held(), kd=50.0).limits()
     assert limits.first.value == pytest.approx(25860.6638, abs=1e-4)
-    assert "largest kp = 25860.6 N/m" in repr(limits)
+    assert "largest kp = 25860.4 N/m at ki = 0.5 N/(m s)" in repr(limits)
     limits = robot(1e4, 1e-3, 4).limits()
     assert 0.0158504 < limits.first.value < 0.0158505
     assert "least mass = 0.0158505 kg" in repr(limits)
+
+
+def printed_pairs(limits: jaxstab.results.GainLimits) -> list[dict[str, float]]:
+    """The pairs of gains that a person reads, in their order, but for limits that have none."""
+    lines = [re.findall(r"(\w+) = ([-+.e\d]+)", line) for line in repr(limits).splitlines()[1:]]
+    return [{name: float(text) for name, text in line} for line in lines if len(line) == 2]
+
+
+@pytest.mark.parametrize(
+    "loop",
+    [joint(), joint(substeps=4), joint(delay_steps=1), robot(1e4, 1e-3, 4)],
+    ids=["inside", "every 4 steps", "a step late", "admittance"],
+)
+def test_a_pair_that_is_printed_is_stable(loop: jaxstab.Loop) -> None:
+    """At a corner the limit itself has roots on the circle: of 60 digits they are inside."""
+    pairs = printed_pairs(loop.limits())
+    assert len(pairs) == 2
+    for pair, limit in zip(pairs, loop.limits()[:2], strict=True):
+        assert next(iter(pair.values())) == pytest.approx(limit.value, rel=1e-4)
+        assert loop.verdict(**pair) == Verdict.STABLE
+        p = loop.parts.polynomial(*(pair[gain.name] for gain in loop.gains))
+        with mpmath.workdps(60):
+            falling = [mpmath.mpf(int(c.p)) / int(c.q) for c in p.coeffs()[::-1]]
+            roots = mpmath.polyroots(falling, maxsteps=500, extraprec=400)
+            assert max(map(abs, roots)) < 1
+
+
+def test_gains_that_touch_an_axis_from_outside_are_not_0_or_more() -> None:
+    """p is (z + 1)^2 - a (z + 1) (z + 2) - b: b < 0 is what p(-1) = -b asks of it."""
+    loop = jaxstab.Loop.from_coefficients(
+        base=[1, 2, 1], first=[-1, -3, -2], second=[-1], sample_time=1.0
+    )
+    limits = loop.limits()
+    assert np.isnan([limits.first.value, limits.second.value]).all()
+    assert "no gains >= 0 are stable" in repr(limits)
+    assert loop.verdict(a=0.5, b=-1e-3) == Verdict.STABLE
+    a, b = np.meshgrid(np.linspace(0.0, 3.0, 61), np.linspace(0.0, 3.0, 61))
+    assert not np.any(loop.verdict(a=a, b=b) == Verdict.STABLE)
 
 
 @pytest.mark.parametrize("status", [RegionStatus.EMPTY, RegionStatus.UNRESOLVED])

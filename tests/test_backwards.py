@@ -8,6 +8,7 @@ import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from math import isnan
 from typing import Any
@@ -16,7 +17,7 @@ import mpmath
 import numpy as np
 import pytest
 import scipy.signal
-from campaign import many
+from campaign import first, many
 from commands import run
 from problems import LEAST_INERTIAS
 
@@ -140,6 +141,67 @@ def test_pid_keeps_the_delay_that_its_derivative_has_of_its_own() -> None:
     for delay, verdict in ((0.999 * longest, "STABLE"), (1.001 * longest, "UNSTABLE")):
         late = jaxstab.pid(replace(OMEGA, velocity=None, delay=delay), ki=0.0, kd_delay=0.0)
         assert late.verdict(kp=5000.0, kd=60.0) == jaxstab.Verdict[verdict]
+
+
+HOST = jaxstab.HapticLoop(device_mass=0.5, device_damping=0.2, sample_time=1e-3, delay=1e-3)
+LATE = {"kd_delay": HOST.delay}  # it happens to equal the delay
+FRONT = jaxstab.Filter.low_pass(100.0)
+LEFT = jaxstab.Device.mass_spring_damper(mass=0.25, damping=0.1)
+RIGHT = jaxstab.Device.mass_spring_damper(mass=0.5, damping=0.2)
+DOORS: list[tuple[Callable[..., jaxstab.Loop], tuple[float, float]]] = [
+    (partial(jaxstab.pid, loop=HOST, ki=0.0, **LATE), (3e3, 30.0)),
+    *[
+        (partial(jaxstab.simulated_pd, inertia=0.1, step=2e-3, damping=0.05, **options), gains)
+        for options, gains in [
+            ({"integrator": "implicit"}, (3e4, 30.0)),
+            ({"integrator": "implicit-damping"}, (3e3, 30.0)),
+            ({"integrator": "implicit", "substeps": 2}, (1e3, 5.0)),
+            ({"outside": True}, (3e3, 10.0)),
+            ({"integrator": "rk4", "delay_steps": 1}, (1e3, 5.0)),
+        ]
+    ],
+    (partial(jaxstab.admittance, environment=1e4, sample_time=1e-3, delay_samples=4), (2.0, 50.0)),
+    (
+        partial(jaxstab.admittance, environment=1e3, sample_time=1e-3, force_filter=FRONT),
+        (2.0, 50.0),
+    ),
+    (partial(jaxstab.pid, loop=HOST, kd=30.0), (3e3, 1e4)),
+    (partial(jaxstab.coupling, first=LEFT, second=RIGHT, sample_time=1e-3), (3e3, 30.0)),
+]
+
+
+@pytest.mark.parametrize(("door", "gains"), first(DOORS, 3))
+def test_values_are_stable_where_the_loop_made_of_them_is(
+    door: Callable[..., jaxstab.Loop], gains: tuple[float, float]
+) -> None:
+    """Whatever can be asked for: the function that made the loop is called with the value."""
+    loop = door()
+    pair = dict(zip((gain.name for gain in loop.gains), gains, strict=True))
+    with pytest.raises(ValueError, match="quantity is") as refused:
+        loop.range_of("colour", **pair)
+    names = re.findall('"([a-z_]+)"', str(refused.value))
+    assert names
+    is_held = "loop" in door.keywords  # whose names share one way
+    between = (1e-4, 5e-3) if is_held else None
+    for name in ("delay", "sample_time") if is_held else names:
+        try:
+            found = loop.range_of(name, between=between, count=6, **pair)
+        except ValueError:
+            continue
+        values = [float(n) for n in range(8)] if found.is_complete else []
+        values += [end for ends in found.intervals for end in (ends[0].stable, ends[1].stable)]
+        values += [1.0001 * found.largest, 0.9999 * found.least] if not found.is_complete else []
+        for value in (value for value in values if found.between[0] <= value <= found.between[1]):
+            own = int(value) if found.is_complete else value
+            try:
+                held = {"loop": replace(HOST, **{name: own})} if is_held else {}
+                made = door(**(held or {name: own}))
+            except ValueError:
+                verdict = jaxstab.Verdict.NOT_COMPUTED
+            else:
+                verdict = made.verdict(**pair)
+            inside = any(low.stable <= value <= high.stable for low, high in found.intervals)
+            assert inside == bool(verdict), (name, value, found)
 
 
 def test_pid_offers_the_numbers_of_its_loop_alone() -> None:

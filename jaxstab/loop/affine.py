@@ -11,13 +11,14 @@ Coefficients that are exact numbers have one more proof: where some roots have t
 all gains, as without damping, no precision of balls decides, and fractions do.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from fractions import Fraction
-from functools import cached_property, partial
-from math import inf
-from typing import TYPE_CHECKING, Any, NamedTuple, overload
+from functools import cached_property, partial, wraps
+from inspect import signature
+from math import inf, isfinite, isnan
+from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec, overload
 
 import numpy as np
 from jaxtyping import Float64, Int8
@@ -30,7 +31,7 @@ from jaxstab.exact.response import motion_settled_after
 from jaxstab.exact.roots import affine_verdict
 from jaxstab.loop.gains import Gain, TwoGains
 from jaxstab.loop.margins import GainMargins, margins_of_gains, stable_pairs
-from jaxstab.loop.region import TOLERANCE, GainRegion, Gains, names_of
+from jaxstab.loop.region import TOLERANCE, GainRegion, Gains, names_of, printed_limit
 from jaxstab.model import LoopParameters
 from jaxstab.model.affine import (
     RULES,
@@ -70,6 +71,8 @@ if TYPE_CHECKING:
     from jaxstab.loop.backwards import StableValues
     from jaxstab.loop.loop import HapticLoop
 
+Given = ParamSpec("Given")
+
 
 class GainLimit(NamedTuple):
     """The largest or least stable value of a gain, and the other gain there; NaN if none is stable.
@@ -89,14 +92,16 @@ class GainLimit(NamedTuple):
 class GainLimits(NamedTuple):
     """The limits of both gains; stable gains come as close to them as one likes.
 
+    A pair is printed with digits with which it is stable, next to a corner a little inside of it.
+
     They hold for the component that contains small gains, and where small gains are not stable,
     ``is_reachable`` False, for all stable gains. Gains are >= 0.
 
     Example:
         >>> jaxstab.simulated_pd(0.1, step=2e-3, substeps=4).limits()
         GainLimits: the boundary closes to loops
-          largest kp = 6250 N m/rad at kd = 18.75 N m s/rad
-          largest kd = 25 N m s/rad at kp = 0 N m/rad
+          largest kp = 6249.99 N m/rad at kd = 18.75 N m s/rad
+          largest kd = 24.9997 N m s/rad at kp = 0.125 N m/rad
     """
 
     first: GainLimit
@@ -106,14 +111,16 @@ class GainLimits(NamedTuple):
 
     def __repr__(self) -> str:
         head = f"GainLimits: {self.status.words}"
-        is_told = self.is_reachable or self.status != RegionStatus.COMPLETE
-        lines = [head + ("" if is_told else "; small gains are not stable")]
+        if self.status == RegionStatus.COMPLETE and not self.is_reachable:
+            is_any = not isnan(self.first.value)
+            head += "; small gains are not stable" if is_any else "; no gains >= 0 are stable"
+        lines = [head]
         for own, other in ((self.first, self.second), (self.second, self.first)):
             name, unit, sense = own.gain
             rounding = ROUND_FLOOR if sense == "largest" else ROUND_CEILING
             value = number_text(own.value, 6, rounding, unit)
             at = f" at {other.gain.name} = {number_text(own.at, 6, unit=other.gain.unit)}"
-            lines.append(f"  {sense} {name} = {value}{'' if own.value == inf else at}")
+            lines.append(f"  {sense} {name} = {value}{at if isfinite(own.value) else ''}")
         return "\n".join(lines)
 
 
@@ -172,6 +179,7 @@ class Loop(TwoGains):
     sample_time: float
     words: str = "a loop"
     bounded: tuple[Gain, Gain] | None = field(default=None, repr=False)
+    made: Any = field(default=None, repr=False, compare=False)  # the call of its door
 
     @property
     def coordinates(self) -> tuple[Gain, Gain]:
@@ -314,8 +322,8 @@ class Loop(TwoGains):
         Example:
             >>> jaxstab.simulated_pd(0.1, step=2e-3).region()
             GainRegion (kp, kd): the boundary closes to loops
-              largest  kp = 100000 N m/rad at kd = 0 N m s/rad
-              largest  kd = 100 N m s/rad at kp = 0 N m/rad
+              largest  kp = 99999 N m/rad at kd = 0.0005 N m s/rad
+              largest  kd = 99.999 N m s/rad at kp = 0.5 N m/rad
               islands  none found
         """
         tolerance = checked_number("tolerance", tolerance, 1e-10, is_open=True)
@@ -325,7 +333,7 @@ class Loop(TwoGains):
         """The largest stable value of each gain, or the least, as of an admittance.
 
         They are read off the region: it is not proved that no stable gains were missed beyond.
-        Printed, largest values are rounded down and least ones up.
+        Printed, largest values are rounded down and least ones up, and each pair is stable.
 
         Raises: as ``region``.
 
@@ -333,7 +341,7 @@ class Loop(TwoGains):
             >>> jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4).limits()
             GainLimits: the boundary closes to loops
               least mass = 0.0158505 kg at damping = 26.7009 N s/m
-              least damping = 26.7009 N s/m at mass = 0.0158504 kg
+              least damping = 26.7009 N s/m at mass = 0.0158505 kg
         """
         region = self.region()
         main = region.main or region
@@ -342,7 +350,8 @@ class Loop(TwoGains):
         else:
             found = main.extremes if self.coordinates == self.gains else self._in_rows(main)
         first, second = np.array(found).tolist()
-        limits = GainLimit(self.gains[0], *first), GainLimit(self.gains[1], *second[::-1])
+        largest = printed_limit(self, 0, *first), printed_limit(self, 1, *second[::-1])
+        limits = (GainLimit(gain, *pair) for gain, pair in zip(self.gains, largest, strict=True))
         return GainLimits(*limits, region.status, region.main is not None)
 
     def _in_rows(self, main: GainRegion) -> list[Float64[np.ndarray, "2"]]:
@@ -364,8 +373,10 @@ class Loop(TwoGains):
             whole = np.concatenate([here, crossed, corners])
             whole[np.abs(whole) < 1e-9 * np.abs(whole).max(axis=0)] = 0.0
             gains = whole[:, 1:] / whole[:, :1]
-        gains = gains[np.all(whole >= 0.0, axis=1)]
-        return [self._extreme(axis, gains) for axis in (0, 1)]
+        is_here = np.all(whole >= 0.0, axis=1)
+        if not np.all(whole[is_here].max(axis=0, initial=0.0) > 0.0):  # it touches an axis at most
+            return [np.full(2, np.nan)] * 2
+        return [self._extreme(axis, gains[is_here]) for axis in (0, 1)]
 
     def _extreme(
         self, axis: int, gains: Float64[np.ndarray, "point 2"]
@@ -518,6 +529,11 @@ class Loop(TwoGains):
             of_chart = self._chart.of_gains(*given)
         return of_chart[0] / self._scale[0], of_chart[1] / self._scale[1]
 
+    @property
+    def _charted(self) -> "Loop":
+        """The same loop by its coordinates."""
+        return replace(self, parts=self._chart, gains=self.coordinates)
+
     @cached_property
     def _chart(self) -> Chart:
         return chart_of(self.parts)
@@ -591,6 +607,20 @@ def _units(chart: AffineParts) -> tuple[float, float]:
 # units of the gains.
 
 
+def _rebuilt(door: Callable[Given, Loop]) -> Callable[Given, Loop]:
+    """Let the loops of a door know what they were made of."""
+    named_by = signature(door)
+
+    @wraps(door)
+    def made(*values: Given.args, **options: Given.kwargs) -> Loop:
+        given = named_by.bind(*values, **options)
+        given.apply_defaults()
+        return replace(door(*values, **options), made=partial(made, **given.arguments))
+
+    return made
+
+
+@_rebuilt
 def simulated_pd(
     inertia: float,
     *,
@@ -654,6 +684,7 @@ def simulated_pd(
     return Loop(parts, gains, joint.step * substeps, words)
 
 
+@_rebuilt
 def admittance(
     environment: float,
     *,
@@ -715,6 +746,7 @@ def _filter(name: str, value: Any, period: float) -> Filter:
     return value
 
 
+@_rebuilt
 def pid(
     loop: "HapticLoop",
     *,
@@ -779,6 +811,7 @@ def pid(
     return Loop(parts, (others[0], others[1]), float(parts.loop.sample_time), words)
 
 
+@_rebuilt
 def coupling(
     first: Device,
     second: Device,

@@ -53,6 +53,7 @@ UNITS = {
 """The quantities of a held device and its controller, and their units."""
 
 _ROBOT = {"environment": "N/m", "stiffness": "N/m", "delay_samples": "samples"}
+_WHOLE = {"delay_samples": 0, "substeps": 1, "delay_steps": 0}  # from which value on
 _STEPS = {"step": "s", "substeps": "steps", "delay_steps": "steps"}
 _JOINT = {"inertia": "kg m^2", "damping": "N m s/rad", "stiffness": "N m/rad", **_STEPS}
 
@@ -375,14 +376,13 @@ def range_of_number(
     loop: Any, quantity: str, pair: Gains, between: Range | None, count: int
 ) -> StableValues:
     """The values of a number of a loop, of its device or engine, with which gains are stable."""
-    inner = {name: getattr(loop.parts, name, None) for name in ("joint", "late", "loop")}
-    owners = [vars(owner) for owner in (loop.parts, *inner.values()) if owner]
-    units = UNITS | (_JOINT if inner["joint"] else _ROBOT)
+    door, given = (loop.made, loop.made.keywords) if loop.made else (None, {})
+    held = given["loop"].in_floats() if "loop" in given else None
+    units = UNITS | (_JOINT if "inertia" in given else _ROBOT)
     numbers = {
         name: value
-        for own in owners
-        for name, value in own.items()
-        if type(value) in (int, float) and name in units
+        for name, value in (given if held is None else vars(held)).items()
+        if isinstance(value, int | float | np.number) and name in units
     }
     if not numbers:
         raise ValueError(f"quantity is {quantity!r}, but {loop.words} have no number that varies.")
@@ -392,18 +392,13 @@ def range_of_number(
     size = now or numbers.get("environment") or abs(alike.get(quantity, 0.0)) or 1.0
     others = Scan.of(1e-4 * size, 1e4 * size, checked_count("count", count, 2) - 1).values
     scan = Scan(sorted([now, *others]))
-    if isinstance(now, int):
-        least = int(quantity == "substeps")
-        scan = Scan([float(n) for n in range(least, 201)], is_complete=True)
+    if quantity in _WHOLE:
+        scan = Scan([float(n) for n in range(_WHOLE[quantity], 201)], is_complete=True)
 
     def judge(value: float) -> Verdict:
-        changed: dict[str, Any] = {
-            name: replace(owner, **{quantity: value})
-            for name, owner in inner.items()
-            if owner and getattr(owner, quantity, None) == now  # kd may have a delay of its own
-        }
-        parts = replace(loop.parts, **(changed or {quantity: type(now)(value)}))
-        verdict: Verdict = replace(loop, parts=parts)._verdict(*pair)
+        number = int(value) if quantity in _WHOLE else value
+        changed = {"loop": replace(held, **{quantity: value})} if held else {quantity: number}
+        verdict: Verdict = door(**changed)._verdict(*pair)
         return verdict
 
     return stable_values((quantity, units[quantity]), scan.within(between, count), judge)

@@ -1,8 +1,9 @@
 """The stable gains of a loop, walls among them: its stable region, in the units of the gains."""
 
 from dataclasses import dataclass
+from decimal import ROUND_CEILING, ROUND_FLOOR
 from functools import cached_property, lru_cache
-from math import isinf
+from math import isfinite, isinf
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -18,6 +19,7 @@ from jaxstab.numbers import without_noise
 from jaxstab.region import RegionStatus, StableRegion, measures
 from jaxstab.region.region import loop_region, proved_extremes
 from jaxstab.region.stable_set import GainNames, ShownRegion, limits_text, printed_extremes
+from jaxstab.shown import Printed, stable_pair
 
 TOLERANCE = 1e-6  # of the outline, by default
 Part = TypeVar("Part", bound="GainRegion")
@@ -219,7 +221,12 @@ class GainRegion(ShownRegion):
         """Return status, extremes and the number of islands."""
         if not self.components:
             return f"GainRegion: {self.status.words}"
-        names, (first, second) = self.names, (self.main or self.components[0]).extremes
+        names, held = self.names, self.loop._charted
+        points = enumerate((self.main or self.components[0]).extremes)
+        first, second = (
+            printed_limit(held, axis, *point.tolist()[:: 1 - 2 * axis], 5)[:: 1 - 2 * axis]
+            for axis, point in points
+        )
         small = "" if self.main else "; small gains are not stable"
         return "\n".join(
             [
@@ -392,6 +399,41 @@ class WallRegion(GainRegion):
 
 def _limits_of(stiffest: Gains, damped: Gains, status: RegionStatus) -> WallLimits:
     return WallLimits(*stiffest, damped.damping, damped.stiffness, status, is_reachable=False)
+
+
+def printed_limit(
+    loop: Any, axis: int, value: float, at: float, digits: int = 6
+) -> tuple[float, float]:
+    """A limit of a gain, and the other gain there, to be printed as a pair that is stable.
+
+    Where rounding to digits finds none, as at a corner, the pair is that in the middle of a row
+    which is a little inside.
+    """
+    own, other = loop.gains[axis], loop.gains[1 - axis]
+    is_largest = own.sense == "largest"
+    way, inwards = (ROUND_FLOOR, -1.0) if is_largest else (ROUND_CEILING, 1.0)
+
+    def is_stable(value: float, at: float) -> bool:
+        return bool(loop._verdict(*(value, at)[:: 1 - 2 * axis]))
+
+    def row(at: float) -> list[tuple[float, float]]:
+        ends = loop.intervals(**{other.name: at}).intervals if is_largest else ()
+        below = ((low.value, min(high.value - high.error, value)) for low, high in ends)
+        return [(low, high) for low, high in below if abs(value - high) < 0.01 * abs(value)]
+
+    if value == 0.0 and not is_largest and not is_stable(value, at):
+        return Printed(0.0, "above 0"), at
+    for share in (0.0, 1e-5, 1e-4, 1e-2) if isfinite(value) and isfinite(at) else ():
+        inside = value + inwards * share * abs(value)
+        beside, line = at, loop.intervals(**{own.name: inside}).intervals if share else ()
+        if line:
+            nearest = min(line, key=lambda ends: max(ends[0].value - at, at - ends[1].value))
+            low, high = (max(end.value, 0.0) for end in nearest)
+            beside = 0.5 * (low + min(high, 3.0 * low + 1.0))
+        pair = stable_pair(inside, beside, (digits, digits), is_stable, row, way)
+        if isinstance(pair[0], Printed):
+            return Printed(value, pair[0].text), Printed(at, pair[1].text)
+    return value, at
 
 
 @lru_cache(maxsize=64)
