@@ -1,5 +1,6 @@
 """Loops of any two gains: truths of 40 digits, and what engines and controllers compute."""
 
+import itertools
 import math
 import re
 from collections.abc import Callable
@@ -14,6 +15,7 @@ from campaign import many
 
 import jaxstab
 from jaxstab import Verdict
+from jaxstab.exact import LineStatus
 from jaxstab.results import RegionStatus
 
 DEVICE = jaxstab.Device.mass_spring_damper(mass=0.25, damping=0.1)
@@ -481,6 +483,42 @@ def test_gains_that_touch_an_axis_from_outside_are_not_0_or_more() -> None:
     assert loop.verdict(a=0.5, b=-1e-3) == Verdict.STABLE
     a, b = np.meshgrid(np.linspace(0.0, 3.0, 61), np.linspace(0.0, 3.0, 61))
     assert not np.any(loop.verdict(a=a, b=b) == Verdict.STABLE)
+
+
+def given(base: list[int], first: list[int], second: list[int]) -> jaxstab.Loop:
+    return jaxstab.Loop.from_coefficients(base=base, first=first, second=second, sample_time=1.0)
+
+
+def test_lines_know_the_roots_that_whole_numbers_have() -> None:
+    """p is (z - 1)((1 + b) z^2 - (1 + b) z + b): all but z = 1 are inside for b > 0 alone."""
+    line = given([1, -3, 2, -1], [1, -1, 1], [1, -2, 2, -1]).intervals(a=1.0)
+    assert line.status == LineStatus.PROVED
+    assert line.drift == 1
+    assert line.bits <= 768
+    assert [(low.value, high.value) for low, high in line.intervals] == [(0.0, math.inf)]
+
+
+@pytest.mark.parametrize(
+    ("shared", "stable"), [([2, 1, 1], True), ([1, -1, 1], False), ([3, 1, -7], False)]
+)
+def test_roots_that_no_gain_moves_are_judged_once(shared: list[int], *, stable: bool) -> None:
+    """Of (shared)(z + b): b is between -1 and 1 if the shared roots are inside."""
+    base, second = np.polymul(shared, [1, 0]).tolist(), shared
+    line = given(base, [1, 0], second).intervals(a=0.0)
+    assert line.status == LineStatus.PROVED
+    ends = [(low.value, high.value) for low, high in line.intervals]
+    assert ends == ([(-1.0, 1.0)] if stable else [])
+
+
+def test_a_region_of_whole_numbers_without_stable_gains_is_empty() -> None:
+    """With p(1) = -6 + 4 a and p(-1) = 4 for all b; a grid of numpy's roots has none inside."""
+    sides = [1, -2, -3, -3, 1], [1, 2, 1], [1, 0, -2, 0, 1]
+    limits = given(*sides).limits()
+    assert limits.status == RegionStatus.EMPTY
+    base, first, second = (np.pad(side, (5 - len(side), 0)) for side in sides)
+    for a, b in itertools.product(np.linspace(-8.0, 8.0, 33), repeat=2):
+        roots = np.roots(base + a * first + b * second)
+        assert np.abs(roots).max(initial=np.inf if len(roots) < 4 else 0.0) > 1.0 - 1e-6
 
 
 @pytest.mark.parametrize("status", [RegionStatus.EMPTY, RegionStatus.UNRESOLVED])

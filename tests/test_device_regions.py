@@ -10,6 +10,7 @@ import jaxstab
 from benchmarks.truth import filtered, random_loops
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop
 from jaxstab import Device, Filter, Hand, HapticLoop, Mode, Velocity, Verdict
+from jaxstab.exact import LineStatus
 from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.model import LoopParameters, by_name
 from jaxstab.model.filters import Filters
@@ -211,3 +212,24 @@ def test_a_region_that_is_small_beside_its_units_is_right_at_its_edge() -> None:
     walls += [(2.7555553677657516e-14, -9.225851199260192e-13)]
     truth = [loop.balls.is_stable(*wall) for wall in walls]
     assert loop.region().contains(*np.transpose(walls)).tolist() == truth == [False, True]
+
+
+@pytest.mark.parametrize("halves", [1.0, 2.0, 3.0])
+def test_a_mode_that_swings_between_the_samples_is_refused(halves: float) -> None:
+    """One that is damped, or another sample time, is not: its roots are told apart."""
+    period = 2.0**-10
+
+    def loop(ratio: float, sample_time: float) -> jaxstab.HapticLoop:
+        mode = jaxstab.Mode(frequency=512.0 * halves, damping_ratio=ratio, modal_mass=0.5)
+        device = jaxstab.Device.modes([mode], mass=0.2, damping=0.5)
+        return jaxstab.HapticLoop(device=device, sample_time=sample_time)
+
+    for ask in (
+        lambda own: own.verdict(100.0, 1.0),
+        lambda own: own.intervals(damping=1.0),
+        lambda own: own.limits(),
+    ):
+        with pytest.raises(ValueError, match="it swings between the samples, where no gain damps"):
+            ask(loop(0.0, period))
+    assert loop(0.02, period).intervals(damping=1.0).status == LineStatus.PROVED
+    assert loop(0.0, 1.01 * period).intervals(damping=1.0).status == LineStatus.PROVED

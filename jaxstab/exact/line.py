@@ -43,11 +43,18 @@ from itertools import accumulate, pairwise
 from math import inf, nan
 from typing import NamedTuple
 
-from flint import acb, acb_poly, arb, arb_poly, ctx
+from flint import acb, acb_poly, arb, arb_poly, ctx, fmpq_poly
 
 from jaxstab.conventions import Status
 from jaxstab.exact.circle import is_patient, zeros
-from jaxstab.exact.roots import Number, TripleAt, is_sharp, roots_outside, sign_of
+from jaxstab.exact.roots import (
+    Number,
+    TripleAt,
+    is_sharp,
+    rational_verdict,
+    roots_outside,
+    sign_of,
+)
 from jaxstab.model.balls import Factored
 from jaxstab.model.device.parts import FIRST_BITS, decided, remembered, working_precision
 from jaxstab.shown import text_with_bound
@@ -180,6 +187,7 @@ def stable_pencil(
     with working_precision(found.bits):
         ends = [End(-inf, 0.0, nan), *map(_end, found.crossings), End(inf, 0.0, nan)]
     stable = [Interval(*pair) for pair, n in zip(pairwise(ends), counts, strict=True) if n == 0]
+    stable = [] if found.stays else stable
     return StableLine(
         intervals=tuple(stable),
         crossings=tuple(ends[1:-1]),
@@ -208,16 +216,31 @@ class _Line(NamedTuple):
     p0: Factored
     q: Factored
     drift: int
+    stays: bool = False  # outside or on the circle, and elsewhere, for all t
 
     @classmethod
     def of(cls, p0: Factored, q: Factored) -> "_Line":
         p0 = p0.without_windows()
+        rests, stays = [part.in_fractions for part in (p0, q)], False
+        if None not in rests and not (p0.is_zero or q.is_zero):  # no bits find what fractions do
+            shared = rests[0].gcd(rests[1])
+            common = Factored.from_rational(shared)  # its roots at 0, 1 and -1 are known
+            known = common._replace(rest=arb_poly([1]))
+            p0, q = (
+                own._replace(rest=arb_poly([1])).times(known).times(Factored.from_rational(part))
+                for own, part in zip((p0, q), (rest // shared for rest in rests), strict=True)
+            )
+            stays = (
+                not rational_verdict(shared // fmpq_poly(known.polynomial().unique_fmpz_poly()))
+                if common.rest.degree()
+                else False
+            )
         if p0.at_minus_one:
             q = q.without_windows()
         known = (part.known for part in (p0, q) if not part.is_zero)
         shared = [min(counts) for counts in zip(*known, strict=True)]
         p0, q = (part if part.is_zero else part.divided(*shared) for part in (p0, q))
-        return cls(p0, q, sum(shared[1:]))
+        return cls(p0, q, sum(shared[1:]), stays)
 
     def at(self, t: "arb | float") -> "arb_poly":
         return self.p0.polynomial() + self.q.polynomial() * t
@@ -234,6 +257,7 @@ class _Found(NamedTuple):
     horizon: float
     drift: int
     bits: int
+    stays: bool = False
 
 
 def _found(line: _Line) -> _Found | None:
@@ -249,7 +273,11 @@ def _found(line: _Line) -> _Found | None:
         if not (is_known or is_patient()):
             return None
     between = _between(crossings)
-    return None if between is None else _Found(crossings, between, found[1], line.drift, ctx.prec)
+    return (
+        None
+        if between is None
+        else _Found(crossings, between, found[1], line.drift, ctx.prec, line.stays)
+    )
 
 
 def _end(crossing: Crossing) -> End:
@@ -277,7 +305,7 @@ def is_real_quotient(p0: Factored, q: Factored) -> bool:
 # --------------------------------------------------------------------------------------- crossings
 def _crossings(line: _Line) -> tuple[list[Crossing], float] | None:
     """All crossings, in any order, and how far out the line was looked at; None for more bits."""
-    p0, q, _ = line
+    p0, q, *_ = line
     if p0.is_zero or q.is_zero:  # no t moves a root; t = 0 may leave nothing of p
         return [Crossing(arb(0), arb("nan"), None)] * p0.is_zero, inf
     turn = p0.at_one - q.at_one
@@ -307,7 +335,7 @@ def _crossings(line: _Line) -> tuple[list[Crossing], float] | None:
 
 def _side_at_end(line: _Line, place: int) -> int:
     """The change of the roots outside at the wall with one at z = 1 or -1; 0 if not known."""
-    p0, q, _ = line
+    p0, q, *_ = line
     size = q.at_end(place)
     slope = line.at(-p0.at_end(place) / size).derivative()(place)
     return sign_of(-place * size * slope)

@@ -27,7 +27,15 @@ from math import inf, nextafter
 from typing import TYPE_CHECKING, NamedTuple
 
 from jaxstab.model.device.device import Device, in_steps
-from jaxstab.model.device.parts import decided, exact, flint, remembered
+from jaxstab.model.device.parts import (
+    Modes,
+    decided,
+    exact,
+    flint,
+    remembered,
+    roots_of,
+    working_precision,
+)
 from jaxstab.model.device.sampling import one_sample
 from jaxstab.model.double_double import DoubleDouble, size_sum
 from jaxstab.model.filters import (
@@ -72,6 +80,15 @@ class Factored(NamedTuple):
                 counts[-1] += 1
         zeros, at_one, at_minus_one = counts
         return cls(flint.arb_poly(polynomial), zeros, at_one, at_minus_one)
+
+    @property
+    def in_fractions(self) -> "fmpq_poly | None":
+        """The rest in exact numbers; None where its balls have a radius."""
+        rising = self.rest.coeffs()
+        if not all(c.is_exact() for c in rising):
+            return None
+        parts = (c.man_exp() for c in rising)
+        return flint.fmpq_poly([flint.fmpq(man) * flint.fmpq(2) ** int(exp) for man, exp in parts])
 
     @property
     def is_zero(self) -> bool:
@@ -378,6 +395,7 @@ def plant_in_balls(device: Device, period: float, delay: float) -> Plant:
         rational, outputs, lag = own.sampled(period, delay)
         position, *velocity = map(Factored.from_rational, outputs)
         return Plant(position, Factored.from_rational(rational), lag, *velocity)
+    _refuse_between_samples(device, period)
     whole, fraction = divmod(delay, 1.0)
     sample = one_sample(device, period)
     above, below = sample.above, sample.below
@@ -396,6 +414,28 @@ def plant_in_balls(device: Device, period: float, delay: float) -> Plant:
         Factored(known_out(denominator, 1, rigid), 0, rigid),
         int(whole) + (fraction > 0.0),
     )
+
+
+@lru_cache
+def _refuse_between_samples(device: Device, period: float) -> None:
+    """Refuse a mode of which samples show less than its motion, and that nothing damps.
+
+    Its two poles are one of z, so that a root of p(z) stays there for all gains.
+    """
+    body = device.mechanism
+    for mode in body.modes if isinstance(body, Modes) else ():
+        halves = 2 * exact(mode.frequency) * exact(period)
+        if mode.damping_ratio or halves.q != 1:
+            continue
+        with working_precision(512):
+            place = flint.acb(0, 2 * flint.arb.pi() * exact(mode.frequency))
+            roots = [root for root, _ in roots_of(device.compliance().denominator)]
+        if any(abs(root - place) < 1e-30 * abs(place) for root in roots):
+            raise ValueError(
+                f"the device ({device}) has a mode of {mode.frequency:g} Hz without damping, a "
+                f"multiple of half the sampling rate of {1.0 / period:g} Hz: it swings between "
+                "the samples, where no gain damps it; give it damping, or another sample time."
+            )
 
 
 def known_out(polynomial: "arb_poly", root: int, count: int) -> "arb_poly":
