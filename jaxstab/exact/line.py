@@ -221,20 +221,16 @@ class _Line(NamedTuple):
     @classmethod
     def of(cls, p0: Factored, q: Factored) -> "_Line":
         p0 = p0.without_windows()
-        rests, stays = [part.in_fractions for part in (p0, q)], False
-        if None not in rests and not (p0.is_zero or q.is_zero):  # no bits find what fractions do
-            shared = rests[0].gcd(rests[1])
-            common = Factored.from_rational(shared)  # its roots at 0, 1 and -1 are known
-            known = common._replace(rest=arb_poly([1]))
-            p0, q = (
-                own._replace(rest=arb_poly([1])).times(known).times(Factored.from_rational(part))
-                for own, part in zip((p0, q), (rest // shared for rest in rests), strict=True)
-            )
-            stays = (
-                not rational_verdict(shared // fmpq_poly(known.polynomial().unique_fmpz_poly()))
-                if common.rest.degree()
-                else False
-            )
+        above, below, stays = p0.in_fractions, q.in_fractions, False
+        if above and below:  # no bits find what fractions do
+            common = above.gcd(below)
+            both, one = Factored.from_rational(common), arb_poly([1])
+            ends = both._replace(rest=one)  # roots at 0, 1 and -1, which are known
+            p0 = p0._replace(rest=one).times(ends).times(Factored.from_rational(above // common))
+            q = q._replace(rest=one).times(ends).times(Factored.from_rational(below // common))
+            whole = ends.polynomial().unique_fmpz_poly()
+            if both.rest.degree() > 0 and whole is not None:
+                stays = not rational_verdict(common // fmpq_poly(whole))
         if p0.at_minus_one:
             q = q.without_windows()
         known = (part.known for part in (p0, q) if not part.is_zero)

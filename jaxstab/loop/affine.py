@@ -351,8 +351,8 @@ class Loop(TwoGains):
             found = main.extremes if self.coordinates == self.gains else self._in_rows(main)
         first, second = np.array(found).tolist()
         largest = printed_limit(self, 0, *first), printed_limit(self, 1, *second[::-1])
-        limits = (GainLimit(gain, *pair) for gain, pair in zip(self.gains, largest, strict=True))
-        return GainLimits(*limits, region.status, region.main is not None)
+        limits = [GainLimit(gain, *pair) for gain, pair in zip(self.gains, largest, strict=True)]
+        return GainLimits(limits[0], limits[1], region.status, region.main is not None)
 
     def _in_rows(self, main: GainRegion) -> list[Float64[np.ndarray, "2"]]:
         """The extreme gains >= 0 of an outline in other coordinates, as ends of proved rows.

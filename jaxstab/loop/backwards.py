@@ -376,7 +376,7 @@ def range_of_number(
     loop: Any, quantity: str, pair: Gains, between: Range | None, count: int
 ) -> StableValues:
     """The values of a number of a loop, of its device or engine, with which gains are stable."""
-    door, given = (loop.made, loop.made.keywords) if loop.made else (None, {})
+    given = loop.made.keywords if loop.made else {}
     held = given["loop"].in_floats() if "loop" in given else None
     units = UNITS | (_JOINT if "inertia" in given else _ROBOT)
     numbers = {
@@ -386,7 +386,7 @@ def range_of_number(
     }
     if not numbers:
         raise ValueError(f"quantity is {quantity!r}, but {loop.words} have no number that varies.")
-    now = numbers[checked_word("quantity", quantity, numbers)]
+    now = float(numbers[checked_word("quantity", quantity, numbers)])
     # What is 0 now is scanned around what acts like it.
     alike = {"stiffness": pair.stiffness, "damping": pair.damping, "delay": loop.sample_time}
     size = now or numbers.get("environment") or abs(alike.get(quantity, 0.0)) or 1.0
@@ -398,7 +398,7 @@ def range_of_number(
     def judge(value: float) -> Verdict:
         number = int(value) if quantity in _WHOLE else value
         changed = {"loop": replace(held, **{quantity: value})} if held else {quantity: number}
-        verdict: Verdict = door(**changed)._verdict(*pair)
+        verdict: Verdict = loop.made(**changed)._verdict(*pair)
         return verdict
 
     return stable_values((quantity, units[quantity]), scan.within(between, count), judge)

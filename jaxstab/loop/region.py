@@ -222,11 +222,9 @@ class GainRegion(ShownRegion):
         if not self.components:
             return f"GainRegion: {self.status.words}"
         names, held = self.names, self.loop._charted
-        points = enumerate((self.main or self.components[0]).extremes)
-        first, second = (
-            printed_limit(held, axis, *point.tolist()[:: 1 - 2 * axis], 5)[:: 1 - 2 * axis]
-            for axis, point in points
-        )
+        one, two = (self.main or self.components[0]).extremes
+        first = printed_limit(held, 0, one[0], one[1], 5)
+        second = printed_limit(held, 1, two[1], two[0], 5)[::-1]
         small = "" if self.main else "; small gains are not stable"
         return "\n".join(
             [
@@ -431,7 +429,7 @@ def printed_limit(
             low, high = (max(end.value, 0.0) for end in nearest)
             beside = 0.5 * (low + min(high, 3.0 * low + 1.0))
         pair = stable_pair(inside, beside, (digits, digits), is_stable, row, way)
-        if isinstance(pair[0], Printed):
+        if isinstance(pair[0], Printed) and isinstance(pair[1], Printed):
             return Printed(value, pair[0].text), Printed(at, pair[1].text)
     return value, at
 
