@@ -5,6 +5,7 @@ for a HapticLoop, "loops" for several, "hands" for a HandRange, "function" for o
 evaluated on a grid.
 """
 
+import re
 import sys
 from collections.abc import Callable, Iterator
 from operator import attrgetter
@@ -110,7 +111,7 @@ def as_text(answer: Any) -> str:
     answer = list(answer) if isinstance(answer, Iterator) else answer
     with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
         parts = [f"{np.asarray(leaf).dtype}{np.asarray(leaf)!r}" for leaf in leaves(answer)]
-    return "\n".join(parts)
+    return re.sub(r" at 0x[0-9a-f]+", "", "\n".join(parts))  # where functions lie in memory
 
 
 def outcome(name: str, array: Callable[[Any], Any] | None = None) -> str:

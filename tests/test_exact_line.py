@@ -273,9 +273,11 @@ def test_real_roots_cross_the_circle_at_its_ends() -> None:
     assert [(end.value, end.angle) for end in crossings] == [(-0.5, 0.0), (1.5, np.pi)]
 
 
-def test_a_pair_on_the_circle_that_no_t_moves_is_undecided() -> None:
-    """(z^2 - z + 1) (z - 1/2 + t): the structure knows nothing of the pair."""
-    assert of_polynomials([-0.5, 1.5, -1.5, 1.0], [1.0, -1.0, 1.0]).status == LineStatus.UNDECIDED
+def test_a_pair_on_the_circle_that_no_t_moves_leaves_nothing_stable() -> None:
+    """(z^2 - z + 1) (z - 1/2 + t): whole numbers have the pair as a common factor."""
+    line = of_polynomials([-0.5, 1.5, -1.5, 1.0], [1.0, -1.0, 1.0])
+    assert line.status == LineStatus.PROVED
+    assert not line.intervals
 
 
 def test_a_root_that_only_touches_the_circle_is_a_crossing_without_an_angle_of_its_own() -> None:

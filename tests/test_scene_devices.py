@@ -241,7 +241,9 @@ def test_a_scene_is_the_loop_of_its_modes_motor_and_grip(file: Path) -> None:
     )
     assert loop_of(Scene.from_file(file)) == loop
     best = scene_limits(Scene.from_file(file)).best
-    assert (best.largest_stiffness, best.at_damping) == loop.limits()[:2]
+    limits = loop.limits()
+    assert 0.999 * limits.stiffness < best.largest_stiffness <= limits.stiffness
+    assert best.at_damping == pytest.approx(limits.at_damping, rel=1e-5)
 
 
 def test_a_scene_that_turns_has_the_limits_of_one_that_moves_along_a_line() -> None:
@@ -416,7 +418,7 @@ def test_a_number_of_a_mode_varies_in_a_study(file: Path) -> None:
     text = run(*given, "--over", "device.modes.0.frequency=60:100:3").stdout
     stiffest = [float(row["largest_stiffness"]) for row in csv.DictReader(text.splitlines())]
     single = json.loads(run("limits", file, "--json").stdout)["best"]["largest_stiffness"]
-    assert stiffest[1] == pytest.approx(single, rel=1e-9)
+    assert 0.999 * stiffest[1] < single <= stiffest[1]  # which is proved as it is printed
     assert len(set(stiffest)) == 3
     refused = run(*given, "--over", "device.modes.3.frequency=60:100:2")
     assert refused.exit_code == 2
