@@ -33,7 +33,7 @@ def names() -> None:
 def commands() -> None:
     """The commands that a first user gives."""
     scene = str(REPOSITORY / "data" / "scenes" / "omega.toml")
-    golden = str(REPOSITORY / "data" / "golden" / "atlas-v4.h5")
+    golden = str(REPOSITORY / "data" / "golden" / "atlas-v5.h5")
     point = [
         "--alpha",
         "0.05",

@@ -97,7 +97,7 @@ def _questions() -> list[Question]:
     five = f"{ALPHA}, {BETA}, {slice_}"
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     snippet = re.findall(r"```python\n(.*?)```", readme, flags=re.DOTALL)[0]
-    golden = ROOT / "data" / "golden" / "atlas-v4.h5"
+    golden = ROOT / "data" / "golden" / "atlas-v5.h5"
     return [
         Question("atlas, one verdict", 0.5, ("-c",
             "import jaxstab\n"

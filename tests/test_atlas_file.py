@@ -75,7 +75,7 @@ def test_xarray_reads_limits_and_fields_with_coordinates(tmp_path: Path) -> None
 
 
 def test_the_golden_atlases_are_read_and_answer() -> None:
-    for name, filters in (("atlas-v4", False), ("atlas-v4-window", True)):
+    for name, filters in (("atlas-v5", False), ("atlas-v5-window", True)):
         atlas = jaxstab.open_atlas(GOLDEN / f"{name}.h5")
         spec = jaxstab.AtlasSpec.from_file(GOLDEN / f"{name}.toml")
         assert jaxstab.AtlasSpec.from_toml(atlas.spec) == spec
@@ -85,9 +85,9 @@ def test_the_golden_atlases_are_read_and_answer() -> None:
 
 
 def test_a_build_gives_the_values_of_the_golden_atlas(tmp_path: Path) -> None:
-    spec = jaxstab.AtlasSpec.from_file(GOLDEN / "atlas-v4.toml")
+    spec = jaxstab.AtlasSpec.from_file(GOLDEN / "atlas-v5.toml")
     write_atlas(spec, tmp_path / "a.h5")
-    built, kept = datasets(tmp_path / "a.h5"), datasets(GOLDEN / "atlas-v4.h5")
+    built, kept = datasets(tmp_path / "a.h5"), datasets(GOLDEN / "atlas-v5.h5")
     assert built.keys() == kept.keys()
     for name, values in kept.items():
         if values.dtype.kind == "f":
@@ -146,8 +146,8 @@ def test_other_hdf5_and_other_versions_are_named(tmp_path: Path) -> None:
         opened["x"] = 1
     with pytest.raises(ValueError, match="is HDF5, but no atlas of jaxstab"):
         jaxstab.open_atlas(tmp_path / "other.h5")
-    path = edited(tmp_path / "old.h5", attribute("schema_version", np.int32(3)))
-    with pytest.raises(ValueError, match="has version 3 of the format, and this jaxstab reads 4"):
+    path = edited(tmp_path / "old.h5", attribute("schema_version", np.int32(4)))
+    with pytest.raises(ValueError, match="has version 4 of the format, and this jaxstab reads 5"):
         jaxstab.open_atlas(path)
     with pytest.raises(FileNotFoundError, match=r"cannot read .*missing"):
         jaxstab.open_atlas(tmp_path / "missing.h5")

@@ -122,7 +122,7 @@ def test_a_loop_outside_of_the_atlas_is_computed_and_another_estimator_is_refuse
 
 
 def test_an_atlas_of_an_estimator_answers_for_its_loops(rng: np.random.Generator) -> None:
-    atlas = jaxstab.open_atlas(DATA / "golden" / "atlas-v4-window.h5")
+    atlas = jaxstab.open_atlas(DATA / "golden" / "atlas-v5-window.h5")
     window = Velocity.difference(window=0.005)
     loop = HapticLoop(
         device_mass=0.2, device_damping=2.0, sample_time=1e-3, delay=1.1e-3, velocity=window

@@ -200,7 +200,7 @@ def test_an_atlas_draws_the_walls_of_a_loop_in_si_units() -> None:
     window = jaxstab.Velocity.difference(window=0.005)
     device = {"device_mass": 0.2, "device_damping": 2.0, "sample_time": 1e-3, "delay": 1e-3}
     loop = jaxstab.HapticLoop(**device, velocity=window)
-    walls = jaxstab.open_atlas(ROOT / "data/golden/atlas-v4-window.h5").for_loop(loop)
+    walls = jaxstab.open_atlas(ROOT / "data/golden/atlas-v5-window.h5").for_loop(loop)
     axes = walls.plot(Figure().subplots())
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("stiffness K (N/m)", "damping B (N s/m)")
     assert "window of 5 samples" in axes.get_title()

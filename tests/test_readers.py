@@ -183,7 +183,7 @@ def lines_of(reader: Path, path: Path, points: np.ndarray, *mode: str) -> np.nda
 def test_answers_in_c_are_those_in_python(
     name: str, reader: Path, tmp_path: Path, rng: np.random.Generator
 ) -> None:
-    golden = {"golden": GOLDEN / "atlas-v4.h5", "window": GOLDEN / "atlas-v4-window.h5"}
+    golden = {"golden": GOLDEN / "atlas-v5.h5", "window": GOLDEN / "atlas-v5-window.h5"}
     path = golden.get(name) or write_small(tmp_path)
     atlas = jaxstab.open_atlas(path)
     kinds = ("random", "near", "faces", "whole")

@@ -20,7 +20,7 @@ from jaxstab.scene import Scene
 from jaxstab.tables import MOST_BYTES, MOST_LETTERS, checked_label
 
 ROOT = Path(__file__).parents[1]
-ATLAS = ROOT / "data" / "golden" / "atlas-v4.h5"
+ATLAS = ROOT / "data" / "golden" / "atlas-v5.h5"
 LOOP = ["--mass", "0.25", "--damping", "0.1", "--sample-time", "0.001"]
 A_WALL = ["--wall", "a", "10", "1"]
 TABLE = {
@@ -331,7 +331,7 @@ def test_names_reach_a_stdout_of_ascii(tmp_path: Path) -> None:
     for words in (
         ["check", str(file)],
         ["limits", str(file), "--csv", "-"],
-        ["atlas", "query", str(ROOT / "data/golden/atlas-v4.h5"), "--scene", str(file)],
+        ["atlas", "query", str(ROOT / "data/golden/atlas-v5.h5"), "--scene", str(file)],
     ):
         done = subprocess.run(
             [sys.executable, "-c", START, *words],
@@ -378,7 +378,7 @@ def test_an_option_with_too_few_values_or_bad_ones_names_them(given: list[str], 
 
 
 def test_an_atlas_is_asked_about_a_wall_beside_those_of_a_scene(tmp_path: Path) -> None:
-    file, atlas = tmp_path / "scene.toml", ROOT / "data/golden/atlas-v4.h5"
+    file, atlas = tmp_path / "scene.toml", ROOT / "data/golden/atlas-v5.h5"
     file.write_text(scene_text("soft"), encoding="utf-8")
     wall = ["--wall", "stiff", "1e9", "20"]
     done = run("atlas", "query", atlas, "--scene", file, *wall, "--format", "json")

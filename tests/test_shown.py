@@ -21,7 +21,7 @@ from jaxstab.region import RegionStatus
 from jaxstab.region.stable_set import GainNames, limits_text
 from jaxstab.shown import rounded_text, text_with_bound
 
-GOLDEN = Path(__file__).parents[1] / "data" / "golden" / "atlas-v4.h5"
+GOLDEN = Path(__file__).parents[1] / "data" / "golden" / "atlas-v5.h5"
 OMEGA = {"device_mass": 0.25, "device_damping": 0.1, "sample_time": 1e-3, "delay": 1e-3}
 WINDOW = jaxstab.HapticLoop(**OMEGA, velocity=jaxstab.Velocity.difference(window=0.02))
 PLAIN = jaxstab.HapticLoop(**OMEGA)

@@ -1,4 +1,4 @@
-"""The file of an atlas, version 4: HDF5 that any program reads, with a checksum on every dataset.
+"""The file of an atlas, version 5: HDF5 that any program reads, with a checksum on every dataset.
 
 The root group holds the limits with their axes, and the specification; the group ``fields`` holds
 the fields, on axes of their own. Both are NXdata groups whose datasets have dimension scales, so
@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from jaxstab.durable import PatientStream, is_memory_short, named_errors, target_of
 
 FORMAT: Final = "jaxstab atlas"
-SCHEMA_VERSION: Final = 4
+SCHEMA_VERSION: Final = 5
 FIELDS: Final = "fields"
 NODE: Final = ("alpha_node", "beta_node", "gamma", "delta", "delay")
 _PLANT_CELL = ("gamma_cell", "delta_cell", "delay_cell")
@@ -94,7 +94,7 @@ _PLANTS = (
     _axis("delay", "time delay", "t_d/T, in sampling periods T", 100.0),
 )
 _ERROR = (
-    "how far the multilinear limits are from the exact ones at most, over a stencil of three nodes "
+    "how far the cubic limits are from the exact ones at most, over a stencil of three nodes "
     "an axis; infinite: a limit of the stencil is unknown"
 )
 LIMITS: Final = (
@@ -116,8 +116,8 @@ LIMITS: Final = (
         "float64",
         ("gamma", "delta", "delay", "row", "end"),
         "ends of the stable alpha",
-        "K T^2/m at beta = beta_limits[0] + row (beta_limits[1] - beta_limits[0]); multilinear "
-        "between nodes. NaN: more than one interval of alpha is stable there, or none",
+        "K T^2/m at beta = beta_limits[0] + row (beta_limits[1] - beta_limits[0]); cubic between "
+        "nodes, through the four nearest of each axis but none beyond a whole delay. NaN: more than one interval of alpha is stable there, or none",
         has_nan=True,
     ),
     Variable(

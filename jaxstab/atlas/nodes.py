@@ -14,9 +14,9 @@ one. Where a row has more than one stable interval its limits are unknown: NaN, 
 error. Where another component reaches to other betas, nothing is said beyond the ends
 (``LimitTable.beyond``).
 
-An atlas is computed in runs of cells of delays (``limits_of_cells``), each with the exact limits at
-its nodes, and at the middles of its cells and of their faces and edges: at the rows that the table
-interpolates, so that what the ends of beta miss is part of the error.
+An atlas is computed in runs of cells of delays (``LimitPlan.computed``), each with the exact limits
+at the nodes that count there, and at the middles of its cells and of their faces and edges: at the
+rows that the table interpolates, so that what the ends of beta miss is part of the error.
 
 Dense fields: spectral radius, frequency and damping ratio, poles outside the circle. These are
 plain arrays over the five axes, for pictures and for programs that know nothing of jaxstab;
@@ -41,9 +41,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxstab.atlas.axis import Array, Axis, Cells, axes_of
 from jaxstab.atlas.file import PACKED, packed
 from jaxstab.atlas.spec import AtlasSpec, FieldSpec
-from jaxstab.atlas.table import PLANT, Array, LimitTable, largest_of_cells
+from jaxstab.atlas.table import PLANT, LimitTable, largest_of_cells
 from jaxstab.model import by_name
 from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.motion import dominant_mode
@@ -192,37 +193,52 @@ class LimitPlan(NamedTuple):
     @property
     def runs(self) -> list[range]:
         """The numbers of nodes along delay of each run, of which neighbours share one."""
-        cells_of_a_run = 8
+        cells_of_a_run = 8 if self.is_arc else 4
         last = len(self.spec.nodes[2]) - 1
-        step = cells_of_a_run if self.is_arc else 1
-        starts = range(0, last, step) if last else [0]
-        return [range(start, min(start + step, last) + 1) for start in starts]
+        starts = range(0, last, cells_of_a_run) if last else [0]
+        return [range(start, min(start + cells_of_a_run, last) + 1) for start in starts]
 
     def computed(self, run: range) -> Arrays:
         """Return the arrays of a run, named as those of ``LimitTable``."""
-        spec = self.spec
-        gamma, delta, delay = spec.nodes
-        axes = gamma, delta, delay[run.start : run.stop]
-        fine = [_with_middles(nodes) for nodes in axes]
-        plants = [values.ravel() for values in np.meshgrid(*fine, indexing="ij")]
-        shape = tuple(nodes.size for nodes in fine)
+        gamma, delta, delay = axes_of(*self.spec.nodes)
+        row = Axis(np.arange(float(self.spec.rows)))
+        # The nodes that count in the cells of the run: some of them are beyond it.
+        begin = int(delay.first[run.start])
+        end = int(delay.first[max(run.stop - 2, run.start)]) + delay.width
+        near = Axis(delay.nodes[begin:end], bends_at_integers=True)
+        stencil = [_with_middles(nodes) for nodes in (gamma.nodes, delta.nodes)]
+        stencil += [_with_middles(delay.nodes[run.start : run.stop]), _with_middles(row.nodes)]
+        first_cells = 0, 0, run.start - begin, 0
+        cells = [_cells(own.size, first) for own, first in zip(stencil, first_cells, strict=True)]
+        axes = gamma, delta, near, row
+
+        def between(nodal: Array, dimensions: int) -> Array:
+            for along, own in enumerate(zip(axes[:dimensions], cells, stencil, strict=False)):
+                axis, cell, values = own
+                nodal = axis.interpolated(nodal, cell, values, along)
+            return nodal
+
+        delays = np.union1d(stencil[2], near.nodes)
+        inside = np.searchsorted(delays, stencil[2])
+        plants = [values.ravel() for values in np.meshgrid(*stencil[:2], delays, indexing="ij")]
+        shape = (*(own.size for own in stencil[:2]), delays.size)
+        nodes = np.ix_(*(np.arange(0, n, 2) for n in shape[:2]), np.searchsorted(delays, near.nodes))
         stable = self._stable(*plants)
-        nodes = tuple(slice(None, None, 2) if n.size > 1 else slice(None) for n in axes)
         ends = stable.ends.reshape(*shape, 2)
-        between = _interpolated(ends[nodes])
-        row = _with_middles(np.linspace(0.0, 1.0, spec.rows))
-        beta = between[..., :1] + row * (between[..., 1:] - between[..., :1])
-        limits = stable.rows(beta.reshape(-1, row.size)).reshape(*shape, row.size, 2)
+        spans = ends.copy()
+        spans[:, :, inside] = interpolated_ends = between(ends[nodes], 3)
+        spans[nodes] = ends[nodes]
+        share = stencil[3] / row.cells
+        beta = spans[..., :1] + share * (spans[..., 1:] - spans[..., :1])
+        limits = stable.rows(beta.reshape(-1, share.size)).reshape(*shape, share.size, 2)
         at_nodes = limits[nodes][..., ::2, :]
-        exact, interpolated = limits, _interpolated(at_nodes, axes=4)
-        aside = np.abs(exact - interpolated)
-        beta_aside = np.abs(ends - between)
-        is_all = stable.is_all.reshape(shape).astype(float)
+        own = slice(run.start - begin, run.stop - begin)
+        is_all = stable.is_all.reshape(shape)[:, :, inside].astype(float)
         return {
-            "alpha_limits": at_nodes,
-            "beta_limits": ends[nodes],
-            "alpha_error": _rounded_up(_largest_in_cells(aside, 4)),
-            "beta_error": _rounded_up(_largest_in_cells(beta_aside, 3)),
+            "alpha_limits": at_nodes[:, :, own],
+            "beta_limits": ends[nodes][:, :, own],
+            "alpha_error": _largest(limits[:, :, inside] - between(at_nodes, 4), 4),
+            "beta_error": _largest(ends[:, :, inside] - interpolated_ends, 3),
             "beyond": (-_largest_in_cells(-is_all, 3)).astype(np.int8),
         }
 
@@ -258,11 +274,9 @@ def _with_middles(values: Array) -> Array:
     return fine
 
 
-def _interpolated(values: Array, axes: int = 3) -> Array:
-    """Values at nodes with those at middles, multilinear, along the first axes."""
-    for axis in range(axes):
-        values = np.moveaxis(_with_middles(np.moveaxis(values, axis, 0)), 0, axis)
-    return values
+def _cells(count: int, first: int) -> Cells:
+    """The cells of nodes with middles, from a first one on; the last node is in the last cell."""
+    return first + np.minimum(np.arange(count) // 2, max(count // 2 - 1, 0))
 
 
 def _largest_in_cells(values: Array, axes: int) -> Array:
@@ -271,7 +285,9 @@ def _largest_in_cells(values: Array, axes: int) -> Array:
     return largest_of_cells(halves, axes)[(slice(None, None, 2),) * axes]
 
 
-def _rounded_up(errors: Array) -> NDArray[np.float32]:
+def _largest(misses: Array, axes: int) -> NDArray[np.float32]:
+    """The largest errors of cells, rounded up."""
+    errors = _largest_in_cells(np.abs(misses), axes)
     rounded = errors.astype(np.float32)
     return np.where(rounded < errors, np.nextafter(rounded, np.float32(np.inf)), rounded)
 

@@ -55,7 +55,7 @@ class AtlasAnswer:
         status: a ``QueryStatus`` or codes likewise: how this is known.
 
     Example:
-        >>> atlas = jaxstab.open_atlas("data/golden/atlas-v4.h5")
+        >>> atlas = jaxstab.open_atlas("data/golden/atlas-v5.h5")
         >>> answer = atlas.query([0.05, 0.18], 0.3, gamma=0.0005, delta=0.01, delay=7.0)
         >>> [jaxstab.results.QueryStatus(int(code)).name for code in answer.status]
         ['COMPUTED', 'COMPUTED']
@@ -78,7 +78,7 @@ class Atlas:
         has_fields: True with ``fields``.
 
     Example:
-        >>> atlas = jaxstab.open_atlas("data/golden/atlas-v4.h5")
+        >>> atlas = jaxstab.open_atlas("data/golden/atlas-v5.h5")
         >>> atlas.table.delay.tolist(), atlas.filters is None
         ([0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5], True)
         >>> hand = {"gamma": 0.0005, "delta": 0.01, "delay": 1.0}
@@ -188,7 +188,7 @@ class Atlas:
         Source: Table I of Hulin, Preusche, Hirzinger (2008).
 
         Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v4-window.h5")
+            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v5-window.h5")
             >>> window = jaxstab.Velocity.difference(window=0.005)
             >>> device = {"device_mass": 0.2, "device_damping": 2.0, "sample_time": 1e-3}
             >>> loop = jaxstab.HapticLoop(**device, delay=1e-3, velocity=window)
@@ -256,7 +256,7 @@ def open_atlas(path: str | PathLike[str]) -> Atlas:
     of another version of the format.
 
     Example:
-        >>> jaxstab.open_atlas("data/golden/atlas-v4.h5").has_fields
+        >>> jaxstab.open_atlas("data/golden/atlas-v5.h5").has_fields
         True
     """
     return Atlas(Path(path))
@@ -272,7 +272,7 @@ class LoopAtlas:
         loop: the loop.
 
     Example:
-        >>> atlas = jaxstab.open_atlas("data/golden/atlas-v4.h5")
+        >>> atlas = jaxstab.open_atlas("data/golden/atlas-v5.h5")
         >>> device = {"device_mass": 0.1, "device_damping": 1.0}
         >>> loop = jaxstab.HapticLoop(**device, sample_time=1e-3, delay=1e-3)
         >>> walls = atlas.for_loop(loop)

@@ -180,10 +180,10 @@ class AtlasSpec:
         (1.0, 1.125, 1.25)
     """
 
-    gamma: Nodes = tuple(np.linspace(0.0, 1e-3, 3).tolist())
+    gamma: Nodes = (0.0, 1e-3)
     delta: Nodes = tuple(np.linspace(0.0, 0.015, 3).tolist())
-    delay: Nodes = tuple(np.linspace(0.0, 3.0, 97).tolist())
-    rows: int = 65
+    delay: Nodes = tuple(np.linspace(0.0, 3.0, 73).tolist())
+    rows: int = 17
     fields: FieldSpec | None = None
     velocity: Velocity | None = None
     position: Filter | None = None

@@ -4,26 +4,30 @@ A table has nodes along gamma, delta, delay and *row*. A row is a share u, from 
 interval of beta in which a plant (gamma, delta, delay) has stable walls: so every row of every
 plant has a lower and an upper limit of the stable alpha, and all delays share the axes. At nodes
 these limits, and the ends of the interval of beta, are exact to rounding. Between nodes they are
-multilinear.
+cubic along each axis, through the four nearest nodes (``atlas.axis``).
 
-Beside each cell stands its measured error: how far the multilinear limits are from the exact ones
-at most, over a stencil of three nodes an axis, which has the middles of the cell and of its faces
-and edges. That is no proof, so a verdict follows from the table only where alpha, and beta, are
-clear of the limits by ``CLEAR`` times these errors. No point is answered from a cell with a plant
-whose stable set is not known to have one interval of alpha in each row; and no beta beyond the ends
-unless no wall at all is stable there (``beyond``). All other points are UNDECIDED here, and are
-computed by whoever asks (``atlas.query``).
+Each cell has a measured error: the largest difference between the cubic limits and the exact ones,
+over a stencil of three nodes an axis, which has the middles of the cell and of its faces and edges.
+That is no proof, so a verdict follows from the table only where alpha, and beta, are
+clear of the limits by ``CLEAR`` times these errors. No point is answered from a cell for which a
+plant counts whose stable set is not known to have one interval of alpha in each row; and no beta
+beyond the ends unless no wall at all is stable there (``beyond``). All other points are UNDECIDED
+here, and are computed by whoever asks (``atlas.query``).
+
+The points of a block are sorted by the cells of their plants. Those of one cell share its nodes, so
+one product of matrices gives the rows of all their plants.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from itertools import product
+from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxstab.atlas.axis import Array, Axis, Cells, axes_of
 from jaxstab.conventions import Verdict
 
 CLEAR: Final = 4.0
@@ -32,11 +36,9 @@ interpolated limit was wrong by 2.2 times that at most, and by 1.3 times or less
 
 PLANT: Final = ("gamma", "delta", "delay")
 
-Array = NDArray[np.float64]
 Errors = NDArray[np.float32]
 Codes = NDArray[np.int8]
-Cells = NDArray[np.intp]
-_BLOCK = 2**14  # points: what a block needs stays in the cache
+_BLOCK = 2**20  # values of rows of plants: what a block of points needs stays in the cache
 
 
 class AlphaLimits(NamedTuple):
@@ -48,7 +50,7 @@ class AlphaLimits(NamedTuple):
             (twice it in one of 100,000 places); infinite where nothing is known.
 
     Example:
-        >>> atlas = jaxstab.open_atlas("data/golden/atlas-v4.h5")
+        >>> atlas = jaxstab.open_atlas("data/golden/atlas-v5.h5")
         >>> limits = atlas.alpha_limits(0.3, gamma=0.0005, delta=0.01, delay=1.0)
         >>> round(float(limits.lower), 6), round(float(limits.upper), 2)
         (-0.0005, 0.14)
@@ -60,11 +62,10 @@ class AlphaLimits(NamedTuple):
     upper_error: Array
 
 
-class _Place(NamedTuple):
-    """Where points are: the flat numbers of their plants' corners, weights of these, and cells."""
+class _Plants(NamedTuple):
+    """Plants of points, or one for all: their ends of beta with their rows, and their cells."""
 
-    corners: list[Cells]
-    weights: list[Array]
+    rows: Array  # (plant, 2 + 2 rows): of the ends and of each row the lower limit and the upper
     cell: Cells
     is_inside: NDArray[np.bool_]
 
@@ -104,11 +105,18 @@ class LimitTable:
         return self.gamma, self.delta, self.delay
 
     @cached_property
-    def _pairs(self) -> Array:
-        """The limits at the two rows of each cell of rows, of all plants: (plant, cell, 4)."""
+    def _axes(self) -> tuple[Axis, Axis, Axis]:
+        return axes_of(*self.axes)
+
+    @cached_property
+    def _row(self) -> Axis:
+        return Axis(np.arange(float(self.row.size)))
+
+    @cached_property
+    def _nodal(self) -> Array:
+        """The ends of beta and the rows of the plants at nodes, as those of ``_Plants``."""
         limits = self.alpha_limits
-        pairs = np.concatenate([limits[..., :-1, :], limits[..., 1:, :]], axis=-1)
-        return pairs.reshape(-1, 4)
+        return np.concatenate([self.beta_limits, limits.reshape(*limits.shape[:3], -1)], axis=-1)
 
     @cached_property
     def _allowed(self) -> tuple[Array, Array]:
@@ -125,98 +133,106 @@ class LimitTable:
         self, alpha: Array, beta: Array, gamma: Array, delta: Array, delay: Array
     ) -> Codes:
         """The codes of points, flat arrays of one length or of length 1; UNDECIDED if not clear."""
-        (size,) = np.broadcast_shapes(*(v.shape for v in (alpha, beta, gamma, delta, delay)))
-        codes = np.empty(size, np.int8)
-        for start in range(0, size, _BLOCK):
-            some = slice(start, start + _BLOCK)
-            block = [v if v.size == 1 else v[some] for v in (alpha, beta, gamma, delta, delay)]
-            codes[some] = self._codes(*block)
-        return codes
+        return self._of_points(self._codes, (alpha, beta), (gamma, delta, delay))
+
+    def limits(self, beta: Array, gamma: Array, delta: Array, delay: Array) -> AlphaLimits:
+        """The limits at points, flat arrays of one length; NaN outside of nodes and rows."""
+        return AlphaLimits(*self._of_points(self._known, (beta,), (gamma, delta, delay)).T)
+
+    def ends(self, gamma: Array, delta: Array, delay: Array) -> Array:
+        """The interpolated ends of beta, (point, 2); NaN outside of the nodes."""
+        return self._of_points(self._ends, (), (gamma, delta, delay))
 
     @np.errstate(invalid="ignore", divide="ignore", over="ignore")  # NaN is clear of nothing
-    def _codes(self, alpha: Array, beta: Array, *plant: Array) -> Codes:
-        place = self._place(*plant)
-        band = self._allowed[1].take(place.cell, axis=0)
-        low, high, row, u = self._rows(place, beta)
+    def _of_points(
+        self, answer: Callable[..., Any], walls: Sequence[Array], plant: Sequence[Array]
+    ) -> Any:
+        """What an answer says of points, in blocks, in which they are sorted by their nodes."""
+        (size,) = np.broadcast_shapes(*(values.shape for values in (*walls, *plant)))
+        step = max(1, _BLOCK // self._nodal.shape[-1])
+        found = []
+        for start in range(0, max(size, 1), step):
+            block = [v if v.size == 1 else v[start : start + step] for v in (*walls, *plant)]
+            cells = [axis.cell(v) for axis, v in zip(self._axes, block[-3:], strict=True)]
+            firsts = [axis.first.take(i) for axis, i in zip(self._axes, cells, strict=True)]
+            first = (firsts[0] * self.delta.size + firsts[1]) * self.delay.size + firsts[2]
+            # Small numbers are sorted by their digits, in a tenth of the time.
+            small = np.min_scalar_type(self._nodal.size)
+            order = np.argsort(first.astype(small), kind="stable")
+            if first.size > 1:
+                first, *sorted_ones = (v if v.size == 1 else v[order] for v in (first, *cells, *block))
+                cells, block = sorted_ones[:3], sorted_ones[3:]
+            part = answer(self._plants(first, cells, block[-3:]), *block[:-3])
+            if first.size > 1:
+                part[order] = part.copy()
+            found.append(part)
+        return np.concatenate(found)
+
+    def _plants(self, first: Cells, cells: Sequence[Cells], plant: Sequence[Array]) -> _Plants:
+        """Plants in cells along each axis, sorted by the first nodes that count for them."""
+        axes = self._axes
+        is_inside, weights, near = np.ones(1, bool), np.ones((1, 1)), np.zeros(1, np.intp)
+        for axis, own, values in zip(axes, cells, plant, strict=True):
+            is_inside = is_inside & (values >= axis.nodes[0]) & (values <= axis.nodes[-1])
+            weights = weights[:, None] * axis.weights(own, values)
+            weights = weights.reshape(-1, weights.shape[-1])
+            near = (near[:, None] * axis.nodes.size + np.arange(axis.width)).reshape(-1)
+        nodal = self._nodal.reshape(-1, self._nodal.shape[-1])
+        rows = np.empty((first.size, nodal.shape[-1]))
+        starts = [0, *(np.flatnonzero(np.diff(first)) + 1).tolist()][: first.size]
+        for start, stop in pairwise([*starts, first.size]):
+            values = nodal.take(first[start] + near, axis=0)
+            np.matmul(weights[:, start:stop].T, values, out=rows[start:stop])
+        counts = [axis.cells for axis in axes]
+        return _Plants(rows, (cells[0] * counts[1] + cells[1]) * counts[2] + cells[2], is_inside)
+
+    def _codes(self, plants: _Plants, alpha: Array, beta: Array) -> Codes:
+        band = self._allowed[1].take(plants.cell, axis=0)
+        low, high = plants.rows[:, 0], plants.rows[:, 1]
         is_within = (beta > low + band[:, 0]) & (beta < high - band[:, 1])
         is_beyond = (beta < low - band[:, 0]) | (beta > high + band[:, 1])
-        limits = self._limits(place, row, u)
-        room = self._allowed[0].take(place.cell * (self.row.size - 1) + row, axis=0)
-        lower, upper = alpha - limits[:, 0], alpha - limits[:, 1]
+        least, most, cell = self._between(plants, beta)
+        room = self._allowed[0].take(cell, axis=0)
+        lower, upper = alpha - least, alpha - most
         is_stable = (lower > room[:, 0]) & (upper < -room[:, 1])
         is_unstable = (lower < -room[:, 0]) | (upper > room[:, 1])
         is_unstable &= np.isfinite(room).all(axis=-1)
         unstable = is_within & is_unstable
-        unstable |= is_beyond & (self.beyond.reshape(-1).take(place.cell) == 1)
+        unstable |= is_beyond & (self.beyond.reshape(-1).take(plants.cell) == 1)
         codes = np.full(np.broadcast(alpha, beta, unstable).size, Verdict.UNDECIDED, np.int8)
-        codes[np.broadcast_to(place.is_inside & is_within & is_stable, codes.shape)] = (
+        codes[np.broadcast_to(plants.is_inside & is_within & is_stable, codes.shape)] = (
             Verdict.STABLE
         )
-        codes[np.broadcast_to(place.is_inside & unstable, codes.shape)] = Verdict.UNSTABLE
+        codes[np.broadcast_to(plants.is_inside & unstable, codes.shape)] = Verdict.UNSTABLE
         return codes
 
-    @np.errstate(invalid="ignore", divide="ignore")
-    def limits(self, beta: Array, gamma: Array, delta: Array, delay: Array) -> AlphaLimits:
-        """The limits at points, flat arrays of one length; NaN outside of nodes and rows."""
-        place = self._place(gamma, delta, delay)
-        low, high, row, u = self._rows(place, beta)
-        is_known = place.is_inside & (beta >= low) & (beta <= high)
-        limits = np.where(is_known[:, None], self._limits(place, row, u), np.nan)
-        errors = self.alpha_error.reshape(-1, 2).take(
-            place.cell * (self.row.size - 1) + row, axis=0
-        )
-        errors = np.where(np.isnan(limits), np.inf, errors.astype(float))
-        return AlphaLimits(*limits.T, *errors.T)
-
-    def ends(self, gamma: Array, delta: Array, delay: Array) -> Array:
-        """The interpolated ends of beta, (point, 2); NaN outside of the nodes."""
-        place = self._place(gamma, delta, delay)
-        ends = self._blended(self.beta_limits.reshape(-1, 2), place, place.corners)
-        return np.where(place.is_inside[:, None], ends, np.nan)
-
-    def _place(self, *plant: Array) -> _Place:
-        """Return the corners of the cells of plants, with their weights."""
-        cell = np.zeros(1, np.intp)
-        numbers, shares, is_inside = [], [], np.ones(1, bool)
-        for nodes, values in zip(self.axes, plant, strict=True):
-            is_inside = is_inside & (values >= nodes[0]) & (values <= nodes[-1])
-            count = max(nodes.size - 1, 1)
-            at = np.searchsorted(nodes[1:-1], values, "right") if nodes.size > 2 else 0
-            at = np.broadcast_to(at, values.shape).astype(np.intp)
-            width = nodes[at + 1] - nodes[at] if nodes.size > 1 else 1.0
-            share = (values - nodes[at]) / width
-            numbers.append([at, at + 1] if nodes.size > 1 else [at])
-            shares.append([1.0 - share, share] if nodes.size > 1 else [np.ones(values.shape)])
-            cell = cell * count + at
-        corners, weights = [], []
-        _, deltas, delays = map(np.size, self.axes)
-        for i, j, k in product(*(range(len(pair)) for pair in numbers)):
-            corners.append((numbers[0][i] * deltas + numbers[1][j]) * delays + numbers[2][k])
-            weights.append(shares[0][i] * shares[1][j] * shares[2][k])
-        return _Place(corners, weights, cell, is_inside)
-
-    def _rows(self, place: _Place, beta: Array) -> tuple[Array, Array, Cells, Array]:
-        """Return the ends of beta, the cells along the rows, and the shares of these."""
-        low, high = self._blended(self.beta_limits.reshape(-1, 2), place, place.corners).T
-        count = self.row.size - 1
-        u = (beta - low) / (high - low) * count
-        row = np.clip(np.nan_to_num(u), 0.0, count - 1.0).astype(np.intp)
-        return low, high, row, u - row
-
-    def _limits(self, place: _Place, row: Cells, share: Array) -> Array:
-        """Return the limits of alpha in cells of rows, (point, 2)."""
-        count = self.row.size - 1
-        pairs = self._blended(
-            self._pairs, place, [corner * count + row for corner in place.corners]
-        )
-        return pairs[:, :2] + share[:, None] * (pairs[:, 2:] - pairs[:, :2])
+    def _known(self, plants: _Plants, beta: Array) -> Array:
+        """Limits with their errors, (point, 4); NaN and infinite where nothing is known."""
+        is_known = plants.is_inside & (beta >= plants.rows[:, 0]) & (beta <= plants.rows[:, 1])
+        least, most, cell = self._between(plants, beta)
+        limits = np.where(is_known, np.stack([least, most]), np.nan)
+        errors = self.alpha_error.reshape(-1, 2).take(cell, axis=0).T
+        return np.concatenate([limits, np.where(np.isnan(limits), np.inf, errors)]).T
 
     @staticmethod
-    def _blended(values: Array, place: _Place, corners: Sequence[Cells]) -> Array:
-        total = values.take(corners[0], axis=0) * place.weights[0][:, None]
-        for corner, weight in zip(corners[1:], place.weights[1:], strict=True):
-            total += values.take(corner, axis=0) * weight[:, None]
-        return total
+    def _ends(plants: _Plants) -> Array:
+        return np.where(plants.is_inside[:, None], plants.rows[:, :2], np.nan)
+
+    def _between(self, plants: _Plants, beta: Array) -> tuple[Array, Array, Cells]:
+        """Return the limits of alpha between rows, and the numbers of the cells there."""
+        low, high = plants.rows[:, 0], plants.rows[:, 1]
+        u = (beta - low) / (high - low) * (self.row.size - 1)
+        row = np.clip(np.nan_to_num(u), 0.0, self.row.size - 2.0).astype(np.intp)
+        begin = np.arange(0, plants.rows.size, plants.rows.shape[1]) + 2
+        begin = begin + 2 * self._row.first.take(row)
+        least, most = (
+            sum(
+                weight * plants.rows.take(begin + (2 * number + end))
+                for number, weight in enumerate(self._row.weights(row, u))
+            )
+            for end in (0, 1)
+        )
+        return least, most, plants.cell * self._row.cells + row
 
 
 def largest_of_cells(values: Array, axes: int = 3) -> Array:

@@ -8,9 +8,9 @@
  *     jaxstab_close(atlas);
  *
  * Nodes hold both limits of the stable alpha over (gamma, delta, delay, row) and the ends of the
- * stable beta over (gamma, delta, delay); between nodes all is multilinear. Each cell has a measured
- * error: a point that is clear of the limits by four times that is answered by the table. Every other
- * point is computed by jaxstab_verdict.h, wherever it is; for loops with an estimator or a filter,
+ * stable beta over (gamma, delta, delay); between nodes all is cubic along each axis, through the four
+ * nearest nodes, but through none beyond a whole delay. Each cell has a measured error: a point that
+ * is clear of the limits by four times that is answered by the table. Every other point is computed by jaxstab_verdict.h, wherever it is; for loops with an estimator or a filter,
  * which that does not know, the answer is JAXSTAB_UNDECIDED. A query allocates nothing.
  */
 #ifndef JAXSTAB_ATLAS_H
@@ -142,8 +142,8 @@ static inline jaxstab_atlas *jaxstab_open(const char *path, const char **problem
     H5Eset_auto2(H5E_DEFAULT, NULL, NULL);
     const hid_t file = H5Fopen(path, H5F_ACC_RDONLY, H5P_DEFAULT);
     *problem = file < 0 ? "cannot be opened as HDF5"
-                        : "is damaged, no atlas of version 4, or too large for the memory here";
-    int is_sound = atlas && file >= 0 && jaxstab_number(file, "schema_version") == 4;
+                        : "is damaged, no atlas of version 5, or too large for the memory here";
+    int is_sound = atlas && file >= 0 && jaxstab_number(file, "schema_version") == 5;
     if (is_sound) {
         atlas->has_filters = jaxstab_number(file, "has_filters");
         is_sound = atlas->has_filters >= 0 && jaxstab_load(file, atlas);
@@ -157,18 +157,52 @@ static inline jaxstab_atlas *jaxstab_open(const char *path, const char **problem
     return atlas;
 }
 
-/* Where a plant is: its corners with their weights, and its cell. */
+/* The neighbouring nodes of an axis that count at a value in a cell, from a first one on, and their weights. */
 typedef struct {
-    size_t corner[8], cell;
-    double weight[8], ends[2];
-    int corners;
+    size_t first;
+    int count;
+    double weight[4];
+} jaxstab_near;
+
+/* Without an array the nodes are at 0, 1, 2 ...; limits bend at whole delays, which no cubic crosses. */
+static inline jaxstab_near jaxstab_weights(const double *nodes, size_t last, int bends, size_t cell, double value)
+{
+    jaxstab_near near;
+    size_t low = cell, high = last ? cell + 1 : cell;
+    double place[4];
+    if (low > 0 && !(bends && nodes[low] == floor(nodes[low])))
+        low--;
+    while (high < last && high - low < 3 && !(bends && nodes[high] == floor(nodes[high])))
+        high++;
+    while (low > 0 && high - low < 3 && !(bends && nodes[low] == floor(nodes[low])))
+        low--;
+    near.first = low;
+    near.count = (int)(high - low) + 1;
+    for (int j = 0; j < near.count; j++)
+        place[j] = nodes ? nodes[low + (size_t)j] : (double)low + j;
+    for (int j = 0; j < near.count; j++) {
+        double above = 1.0, below = 1.0;
+        for (int k = 0; k < near.count; k++)
+            if (k != j) {
+                above *= value - place[k];
+                below *= place[j] - place[k];
+            }
+        near.weight[j] = above / below;
+    }
+    return near;
+}
+
+/* Where a plant is: its nodes with their weights, and its cell. */
+typedef struct {
+    size_t node[64], cell;
+    double weight[64], ends[2];
+    int count;
 } jaxstab_place;
 
 static inline int jaxstab_find(const jaxstab_atlas *atlas, const double plant[3], jaxstab_place *at)
 {
-    at->corners = 1;
-    at->corner[0] = at->cell = 0;
-    at->weight[0] = 1.0;
+    jaxstab_near near[3];
+    at->cell = 0;
     for (int i = 0; i < 3; i++) {
         const double *nodes = atlas->axis[i], value = plant[i];
         const size_t last = atlas->nodes[i] - 1;
@@ -180,24 +214,21 @@ static inline int jaxstab_find(const jaxstab_atlas *atlas, const double plant[3]
             *(nodes[middle] <= value ? &low : &high) = middle;
         }
         at->cell = at->cell * (last ? last : 1) + low;
-        const int count = at->corners;
-        const double share = last ? (value - nodes[low]) / (nodes[low + 1] - nodes[low]) : 0.0;
-        for (int c = 0; c < count; c++) {
-            const size_t corner = at->corner[c] * (last + 1) + low;
-            const double weight = at->weight[c];
-            at->corner[c] = corner;
-            at->weight[c] = weight * (1.0 - share);
-            if (last) {
-                at->corner[count + c] = corner + 1;
-                at->weight[count + c] = weight * share;
-                at->corners = 2 * count;
-            }
-        }
+        near[i] = jaxstab_weights(nodes, last, i == 2, low, value);
     }
+    at->count = 0;
     at->ends[0] = at->ends[1] = 0.0;
-    for (int c = 0; c < at->corners; c++)
-        for (int end = 0; end < 2; end++)
-            at->ends[end] += at->weight[c] * atlas->beta_limits[2 * at->corner[c] + end];
+    for (int i = 0; i < near[0].count; i++)
+        for (int j = 0; j < near[1].count; j++)
+            for (int k = 0; k < near[2].count; k++) {
+                const size_t row = (near[0].first + (size_t)i) * atlas->nodes[1] + near[1].first + (size_t)j;
+                const size_t node = row * atlas->nodes[2] + near[2].first + (size_t)k;
+                const double weight = near[0].weight[i] * near[1].weight[j] * near[2].weight[k];
+                at->node[at->count] = node;
+                at->weight[at->count++] = weight;
+                at->ends[0] += weight * atlas->beta_limits[2 * node];
+                at->ends[1] += weight * atlas->beta_limits[2 * node + 1];
+            }
     return 1;
 }
 
@@ -210,12 +241,17 @@ static inline int jaxstab_limits_in(const jaxstab_atlas *atlas, const jaxstab_pl
     if (!(u >= 0.0 && u <= (double)count))
         return 0;
     const size_t row = (size_t)u < count ? (size_t)u : count - 1;
-    const double share = u - (double)row;
+    const jaxstab_near near = jaxstab_weights(NULL, count, 0, row, u);
     limits[0] = limits[1] = 0.0;
-    for (int c = 0; c < at->corners; c++) {
-        const double *own = atlas->alpha_limits + 2 * (at->corner[c] * atlas->rows + row);
-        limits[0] += at->weight[c] * (own[0] + share * (own[2] - own[0]));
-        limits[1] += at->weight[c] * (own[1] + share * (own[3] - own[1]));
+    for (int c = 0; c < at->count; c++) {
+        const double *own = atlas->alpha_limits + 2 * (at->node[c] * atlas->rows + near.first);
+        double lower = 0.0, upper = 0.0;
+        for (int j = 0; j < near.count; j++) {
+            lower += near.weight[j] * own[2 * j];
+            upper += near.weight[j] * own[2 * j + 1];
+        }
+        limits[0] += at->weight[c] * lower;
+        limits[1] += at->weight[c] * upper;
     }
     *cell = at->cell * count + row;
     return 1;
