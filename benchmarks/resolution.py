@@ -1,33 +1,32 @@
 """How many nodes along each axis give which error and which share computed, at which cost.
 
 The exact limits of the haptic range at nodes of growing numbers are interpolated in three ways: by
-the nearest node, linearly, and by cubic splines (of a lower degree where there are fewer nodes;
-along the delay within each sample, for limits have a kink at whole ones). The error of a cell is
-measured as by a build, over a stencil inside of it, and a wall that is not clear of the limits by
+the nearest node, linearly, and as an atlas does, by cubics through four nodes. The error of a cell
+is measured as by a build, over a stencil inside of it, and a wall that is not clear of the limits by
 four times that error is computed. ``error`` is the largest error of the upper limit at random
-walls, over the largest stable alpha of their plant; ``wrong`` counts walls whose verdict
-contradicts an exact one. Seconds are those of the answers by one implementation for all three; an
-atlas is linear, and its own takes less (``benchmarks answers``).
+walls, over the largest stable alpha of their plant; ``ratio`` that error over the one of its cell,
+where a wall is inside of the interval of beta and its cell's error is not that of rounding;
+``wrong`` counts walls whose verdict contradicts an exact one. Seconds are those of the answers by
+one implementation for all three; an atlas takes less (``benchmarks answers``).
 """
 
 from collections.abc import Callable, Iterator
 from functools import partial
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 import jaxstab
 from benchmarks.record import Row
 from benchmarks.timing import interleaved
+from jaxstab.atlas.axis import Axis
 from jaxstab.atlas.nodes import Arcs, table_of
 from jaxstab.atlas.table import CLEAR, LimitTable
 from jaxstab.conventions import AXES, Verdict
 
 MEASURE = "largest error of the upper limit, over the largest stable alpha of the plant"
-GRIDS = ((9, 2, 2, 13), (17, 2, 2, 25), (33, 3, 3, 49), (65, 3, 3, 97), (129, 3, 5, 193))
-SMALL = ((5, 2, 2, 4), (9, 2, 2, 7))
+GRIDS = ((9, 2, 2, 13), (9, 2, 3, 37), (17, 2, 3, 73), (65, 3, 3, 97), (129, 3, 5, 193))
+SMALL = ((5, 2, 2, 4), (9, 2, 2, 13))
 
 _PLANTS, _WALLS = 1000, 100
 _ASIDE = 0.08, 0.1  # below and above the stable interval of beta
@@ -52,25 +51,20 @@ def nearest(nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.eye(nodes.size)[np.searchsorted(middles, points)]
 
 
-def within_samples(weights: Weights, nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """The weights of each sample's own nodes: from a whole delay to the next."""
-    whole = [k for k, node in enumerate(nodes.tolist()) if float(node).is_integer()]
-    total = np.zeros((points.size, nodes.size))
-    for first, last in pairwise(whole):
-        held = (points >= nodes[first]) & (points <= nodes[last])
-        own = slice(first, last + 1)
-        total[held] = 0.0
-        total[held, own] = weights(nodes[own], points[held])
-    return total
+def linear(nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
+    return np.stack([np.interp(points, nodes, one) for one in np.eye(nodes.size)], axis=1)
 
 
-def _spline(degree: int, nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
-    return make_interp_spline(nodes, np.eye(nodes.size), min(degree, nodes.size - 1))(points)
+def cubic(nodes: np.ndarray, points: np.ndarray, *, bends_at_integers: bool = False) -> np.ndarray:
+    axis = Axis(nodes, bends_at_integers=bends_at_integers)
+    return axis.interpolated(np.eye(nodes.size), axis.cell(points), points, 0)
 
 
-METHODS: dict[str, Weights] = {
-    "nearest": nearest, "linear": partial(_spline, 1), "cubic": partial(_spline, 3),
+CUBIC: tuple[Weights, ...] = cubic, cubic, partial(cubic, bends_at_integers=True), cubic
+METHODS: dict[str, tuple[Weights, ...]] = {
+    "nearest": (nearest,) * 4, "linear": (linear,) * 4, "cubic": CUBIC,
 }  # fmt: skip
+"""The weights along gamma, delta, delay and row."""
 
 
 def rows(small: bool) -> Iterator[Row]:
@@ -116,13 +110,17 @@ def _asked(plants: int, walls: int) -> Asked:
 
 
 def _row(
-    grid: tuple[int, int, int, int], method: str, weights: Weights, table: LimitTable, asked: Asked
+    grid: tuple[int, int, int, int],
+    method: str,
+    weights: tuple[Weights, ...],
+    table: LimitTable,
+    asked: Asked,
 ) -> Row:
     errors = _errors(table, weights)
     timing = interleaved(
         {"answer": partial(_answer, table, weights, errors, asked)}, budget=0.5, most=3
     )["answer"]
-    codes, upper = timing.answer
+    codes, upper, room = timing.answer
     computed = codes == Verdict.UNDECIDED
     wrong = ~computed & (codes != asked.codes) & (asked.codes != Verdict.UNDECIDED)
     off = np.abs(upper - asked.upper) / asked.top[:, None]
@@ -139,14 +137,14 @@ def _row(
         median_error=float(np.nanmedian(off)),
         computed=float(np.mean(computed)),
         wrong=int(wrong.sum()),
+        ratio=float(np.nanmax(np.where(room > 1e-12, CLEAR * off * asked.top[:, None] / room, 0.0))),
     )
 
 
 def _plant_weights(
-    weights: Weights, table: LimitTable, plants: list[np.ndarray]
+    weights: tuple[Weights, ...], table: LimitTable, plants: list[np.ndarray]
 ) -> list[np.ndarray]:
-    each = weights, weights, partial(within_samples, weights)
-    return [one(*pair) for one, *pair in zip(each, table.axes, plants, strict=True)]
+    return [one(*pair) for one, *pair in zip(weights[:3], table.axes, plants, strict=True)]
 
 
 def _errors(table: LimitTable, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
@@ -158,7 +156,7 @@ def _errors(table: LimitTable, weights: Weights) -> tuple[np.ndarray, np.ndarray
         by_plant = _plant_weights(weights, table, places[:3])
         ends = np.einsum("ai,bj,ck,ijks->abcs", *by_plant, table.beta_limits, optimize=True)
         of_rows = np.einsum("ai,bj,ck,ijkrs->abcrs", *by_plant, table.alpha_limits, optimize=True)
-        alpha = np.einsum("dr,abcrs->abcds", weights(table.row, places[3]), of_rows, optimize=True)
+        alpha = np.einsum("dr,abcrs->abcds", weights[3](table.row, places[3]), of_rows, optimize=True)
         plants = [values.ravel() for values in np.meshgrid(*fine[:3], indexing="ij")]
         arcs = Arcs(*plants)
         beta = ends[..., :1] + fine[3] * (ends[..., 1:] - ends[..., :1])
@@ -182,15 +180,15 @@ def _of_cells(values: np.ndarray, axes: int) -> np.ndarray:
 
 def _answer(
     table: LimitTable, weights: Weights, errors: tuple[np.ndarray, np.ndarray], asked: Asked
-) -> tuple[np.ndarray, Any]:
-    """Codes, UNDECIDED where a wall is to be computed, and interpolated upper limits."""
+) -> tuple[np.ndarray, ...]:
+    """Codes, UNDECIDED where a wall is to be computed, and interpolated upper limits with room."""
     by_plant = _plant_weights(weights, table, asked.plants)
     ends = np.einsum("pi,pj,pk,ijks->ps", *by_plant, table.beta_limits, optimize=True)
     of_rows = np.einsum("pi,pj,pk,ijkrs->prs", *by_plant, table.alpha_limits, optimize=True)
     low, high = ends[:, :1], ends[:, 1:]
     u = (asked.beta - low) / (high - low)
     inside = np.clip(u, 0.0, 1.0)
-    along = weights(table.row, inside.ravel()).reshape(*u.shape, -1)
+    along = weights[3](table.row, inside.ravel()).reshape(*u.shape, -1)
     lower, upper = np.moveaxis(along @ of_rows, -1, 0)
     cells = [
         np.clip(np.searchsorted(nodes, values, "right") - 1, 0, nodes.size - 2)[:, None]
@@ -205,4 +203,4 @@ def _answer(
     unstable = (asked.alpha < lower - room[0]) | (asked.alpha > upper + room[1])
     codes = np.full(u.shape, Verdict.UNDECIDED, np.int8)
     codes[stable], codes[beyond | (within & unstable)] = Verdict.STABLE, Verdict.UNSTABLE
-    return codes, upper
+    return codes, upper, room[1]

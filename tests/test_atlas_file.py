@@ -64,9 +64,10 @@ def test_xarray_reads_limits_and_fields_with_coordinates(tmp_path: Path) -> None
     path = write_small(tmp_path)
     atlas = jaxstab.open_atlas(path)
     with xarray.open_dataset(path, engine="h5netcdf") as limits:
-        upper = limits.alpha_limits.sel(end=1).interp(gamma=0.0004, delta=0.003, delay=0.6, row=0.4)
-        low, high = limits.beta_limits.interp(gamma=0.0004, delta=0.003, delay=0.6).values
-        own = atlas.alpha_limits(low + 0.4 * (high - low), gamma=0.0004, delta=0.003, delay=0.6)
+        plant = {"gamma": 0.001, "delta": 0.005, "delay": 0.5}
+        upper = limits.alpha_limits.sel(end=1, row=0.375, **plant)
+        low, high = limits.beta_limits.sel(plant).values
+        own = atlas.alpha_limits(low + 0.375 * (high - low), **plant)
         assert float(upper) == pytest.approx(float(own.upper), rel=1e-12)
     with xarray.open_dataset(path, engine="h5netcdf", group="fields") as fields:
         at = fields.spectral_radius.sel(gamma=0.001, delta=0.015, delay=1.5)

@@ -158,7 +158,8 @@ class AtlasSpec:
     Args:
         gamma: nodes, one or more; so is delta.
         delay: delays t_d/T in [0, 100], whole or fractional; the whole ones between the first and
-            the last are added, for limits bend there.
+            the last are added, for limits bend there. Four nodes from one whole delay to the next
+            make the limits cubic there.
         rows: even nodes along the stable interval of beta, >= 2.
         fields: where fields are given, too; None for nowhere.
         velocity: the estimator, in units of one sample; None for the difference over one sample.
@@ -356,6 +357,10 @@ def _toml(name: str, value: Any) -> str:
 
 
 HAPTIC = AtlasSpec(
-    fields=FieldSpec(delta=np.linspace(0.0, 0.015, 9).tolist(), delay=(0.0, 1.0, 2.0, 3.0))
+    fields=FieldSpec(
+        gamma=(0.0, 5e-4, 1e-3),
+        delta=np.linspace(0.0, 0.015, 9).tolist(),
+        delay=(0.0, 1.0, 2.0, 3.0),
+    )
 )
 """What is built without a specification: the paper's haptic range (15), with fields."""
