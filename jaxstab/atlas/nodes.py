@@ -107,9 +107,9 @@ class Arcs:
         """The limits of alpha (plant, row, 2) at betas (plant, row), moved to the ends at most."""
         secant_steps = 6
         goals = np.clip(beta, self._beta[:, :1], self._beta[:, -1:])
-        theta = np.stack(
-            [np.interp(*pair) for pair in zip(goals, self._beta, self._theta, strict=True)]
-        )
+        # Beta begins as a parabola in theta.
+        squares = zip(goals, self._beta, self._theta**2, strict=True)
+        theta = np.sqrt(np.stack([np.interp(*triple) for triple in squares]))
         last, missing = np.zeros_like(theta), self._beta[:, :1] - goals
         for _ in range(secant_steps):
             alpha, at = map(np.asarray, curve_point(self._curve, theta))
