@@ -2,17 +2,17 @@
 
 The exact limits of the haptic range at nodes of growing numbers are interpolated in three ways: by
 the nearest node, linearly, and as an atlas does, by cubics through four nodes. The error of a cell
-is measured as by a build, over a stencil inside of it, and a wall that is not clear of the limits by
-four times that error is computed. ``error`` is the largest error of the upper limit at random
-walls, over the largest stable alpha of their plant; ``ratio`` that error over the one of its cell,
-where a wall is inside of the interval of beta and its cell's error is not that of rounding;
-``wrong`` counts walls whose verdict contradicts an exact one. Seconds are those of the answers by
-one implementation for all three; an atlas takes less (``benchmarks answers``).
+is measured as by a build, over a stencil inside of it, and a wall that is not clear of the limits
+by four times that error is computed. ``error`` is the largest error of the upper limit at random
+walls, over the largest stable alpha of their plant, and ``ratio`` the largest over the error of its
+cell, where that is more than rounding; ``wrong`` counts walls whose verdict contradicts an exact
+one. Seconds are those of the answers by one implementation for all three; an atlas takes less
+(``benchmarks answers``).
 """
 
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -137,7 +137,9 @@ def _row(
         median_error=float(np.nanmedian(off)),
         computed=float(np.mean(computed)),
         wrong=int(wrong.sum()),
-        ratio=float(np.nanmax(np.where(room > 1e-12, CLEAR * off * asked.top[:, None] / room, 0.0))),
+        ratio=float(
+            np.nanmax(np.where(room > 1e-12, CLEAR * off * asked.top[:, None] / room, 0.0))
+        ),
     )
 
 
@@ -156,7 +158,9 @@ def _errors(table: LimitTable, weights: Weights) -> tuple[np.ndarray, np.ndarray
         by_plant = _plant_weights(weights, table, places[:3])
         ends = np.einsum("ai,bj,ck,ijks->abcs", *by_plant, table.beta_limits, optimize=True)
         of_rows = np.einsum("ai,bj,ck,ijkrs->abcrs", *by_plant, table.alpha_limits, optimize=True)
-        alpha = np.einsum("dr,abcrs->abcds", weights[3](table.row, places[3]), of_rows, optimize=True)
+        alpha = np.einsum(
+            "dr,abcrs->abcds", weights[3](table.row, places[3]), of_rows, optimize=True
+        )
         plants = [values.ravel() for values in np.meshgrid(*fine[:3], indexing="ij")]
         arcs = Arcs(*plants)
         beta = ends[..., :1] + fine[3] * (ends[..., 1:] - ends[..., :1])

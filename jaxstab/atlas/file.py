@@ -116,8 +116,9 @@ LIMITS: Final = (
         "float64",
         ("gamma", "delta", "delay", "row", "end"),
         "ends of the stable alpha",
-        "K T^2/m at beta = beta_limits[0] + row (beta_limits[1] - beta_limits[0]); cubic between "
-        "nodes, through the four nearest of each axis but none beyond a whole delay. NaN: more than one interval of alpha is stable there, or none",
+        "K T^2/m at beta = beta_limits[0] + row (beta_limits[1] - beta_limits[0]); between nodes "
+        "cubic along each axis, through the four nearest, but none beyond a whole delay. NaN: more "
+        "than one interval of alpha is stable there, or none",
         has_nan=True,
     ),
     Variable(

@@ -222,7 +222,9 @@ class LimitPlan(NamedTuple):
         inside = np.searchsorted(delays, stencil[2])
         plants = [values.ravel() for values in np.meshgrid(*stencil[:2], delays, indexing="ij")]
         shape = (*(own.size for own in stencil[:2]), delays.size)
-        nodes = np.ix_(*(np.arange(0, n, 2) for n in shape[:2]), np.searchsorted(delays, near.nodes))
+        nodes = np.ix_(
+            *(np.arange(0, n, 2) for n in shape[:2]), np.searchsorted(delays, near.nodes)
+        )
         stable = self._stable(*plants)
         ends = stable.ends.reshape(*shape, 2)
         spans = ends.copy()
