@@ -29,7 +29,8 @@ def rows(small: bool, points: int | None = None) -> Iterator[Row]:
     rng = np.random.default_rng(20081012)
     size = 2000 if small else points or _CALL
     for kind, calls in KINDS.items():
-        wrong = computed = seconds = total = 0
+        wrong = computed = total = 0
+        seconds = np.inf
         for _ in range(1 if small else calls):
             point = points_of(table, kind, size, rng)
             call = partial(table.verdicts, *point)
@@ -41,7 +42,7 @@ def rows(small: bool, points: int | None = None) -> Iterator[Row]:
             clear = codes != Verdict.UNDECIDED
             wrong += int(np.sum(clear & (codes != exact) & (exact != Verdict.UNDECIDED)))
             computed, total = computed + int(np.sum(~clear)), total + codes.size
-            seconds = min(timing.cpu_seconds)
+            seconds = min(seconds, *timing.cpu_seconds)
         yield timing.row(
             kind,
             "table",

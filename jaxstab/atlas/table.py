@@ -148,31 +148,29 @@ class LimitTable:
     def _of_points(
         self, answer: Callable[..., Any], walls: Sequence[Array], plant: Sequence[Array]
     ) -> Any:
-        """What an answer says of points, in blocks, in which they are sorted by their nodes."""
+        """What an answer says of points, in blocks that are sorted by the nodes of their plants."""
         (size,) = np.broadcast_shapes(*(values.shape for values in (*walls, *plant)))
+        number_type = np.min_scalar_type(self._nodal.size)  # short numbers are sorted faster
         step = max(1, _BLOCK // self._nodal.shape[-1])
         found = []
         for start in range(0, max(size, 1), step):
             block = [v if v.size == 1 else v[start : start + step] for v in (*walls, *plant)]
             cells = [axis.cell(v) for axis, v in zip(self._axes, block[-3:], strict=True)]
-            firsts = [axis.first.take(i) for axis, i in zip(self._axes, cells, strict=True)]
-            first = (firsts[0] * self.delta.size + firsts[1]) * self.delay.size + firsts[2]
-            # Small numbers are sorted by their digits, in a tenth of the time.
-            small = np.min_scalar_type(self._nodal.size)
-            order = np.argsort(first.astype(small), kind="stable")
-            if first.size > 1:
-                first, *sorted_ones = (
-                    v if v.size == 1 else v[order] for v in (first, *cells, *block)
+            nodes = [axis.first.take(cell) for axis, cell in zip(self._axes, cells, strict=True)]
+            first = (nodes[0] * self.delta.size + nodes[1]) * self.delay.size + nodes[2]
+            order = np.argsort(first.astype(number_type), kind="stable")
+            if order.size > 1:
+                cells, block = (
+                    [v if v.size == 1 else v[order] for v in group] for group in (cells, block)
                 )
-                cells, block = sorted_ones[:3], sorted_ones[3:]
-            part = answer(self._plants(first, cells, block[-3:]), *block[:-3])
-            if first.size > 1:
+            part = answer(self._plants(first[order], cells, block[-3:]), *block[:-3])
+            if order.size > 1:
                 part[order] = part.copy()
             found.append(part)
         return np.concatenate(found)
 
     def _plants(self, first: Cells, cells: Sequence[Cells], plant: Sequence[Array]) -> _Plants:
-        """Plants in cells along each axis, sorted by the first nodes that count for them."""
+        """Plants in cells along each axis, sorted by the first node that counts for them."""
         axes = self._axes
         is_inside, weights, near = np.ones(1, bool), np.ones((1, 1)), np.zeros(1, np.intp)
         for axis, own, values in zip(axes, cells, plant, strict=True):

@@ -90,14 +90,14 @@ static inline void jaxstab_close(jaxstab_atlas *atlas)
     free(atlas);
 }
 
-/* Whether all numbers are as the format says: nodes ascend, errors are not negative. */
+/* Whether all numbers are as the format says: nodes ascend, delays are at most 100, errors not negative. */
 static inline int jaxstab_is_sound(const jaxstab_atlas *atlas)
 {
     size_t cells = 2;
     for (int i = 0; i < 3; i++) {
         const double *nodes = atlas->axis[i];
         for (size_t k = 0; k < atlas->nodes[i]; k++)
-            if (!isfinite(nodes[k]) || (k > 0 && !(nodes[k] > nodes[k - 1])))
+            if (!isfinite(nodes[k]) || (i == 2 && fabs(nodes[k]) > 100.0) || (k > 0 && !(nodes[k] > nodes[k - 1])))
                 return 0;
         cells *= atlas->nodes[i] > 1 ? atlas->nodes[i] - 1 : 1;
     }
@@ -164,17 +164,24 @@ typedef struct {
     double weight[4];
 } jaxstab_near;
 
-/* Without an array the nodes are at 0, 1, 2 ...; limits bend at whole delays, which no cubic crosses. */
-static inline jaxstab_near jaxstab_weights(const double *nodes, size_t last, int bends, size_t cell, double value)
+/* Limits bend at whole delays, which no cubic crosses. */
+static inline int jaxstab_bends(const double *delays, size_t node)
+{
+    return delays && delays[node] == (double)(int)delays[node];
+}
+
+/* Without an array the nodes are at 0, 1, 2 ...; delays are given where the axis is that of delays. */
+static inline jaxstab_near jaxstab_weights(const double *nodes, const double *delays, size_t last,
+                                           size_t cell, double value)
 {
     jaxstab_near near;
     size_t low = cell, high = last ? cell + 1 : cell;
     double place[4];
-    if (low > 0 && !(bends && nodes[low] == floor(nodes[low])))
+    if (low > 0 && !jaxstab_bends(delays, low))
         low--;
-    while (high < last && high - low < 3 && !(bends && nodes[high] == floor(nodes[high])))
+    while (high < last && high - low < 3 && !jaxstab_bends(delays, high))
         high++;
-    while (low > 0 && high - low < 3 && !(bends && nodes[low] == floor(nodes[low])))
+    while (low > 0 && high - low < 3 && !jaxstab_bends(delays, low))
         low--;
     near.first = low;
     near.count = (int)(high - low) + 1;
@@ -214,7 +221,7 @@ static inline int jaxstab_find(const jaxstab_atlas *atlas, const double plant[3]
             *(nodes[middle] <= value ? &low : &high) = middle;
         }
         at->cell = at->cell * (last ? last : 1) + low;
-        near[i] = jaxstab_weights(nodes, last, i == 2, low, value);
+        near[i] = jaxstab_weights(nodes, i == 2 ? nodes : NULL, last, low, value);
     }
     at->count = 0;
     at->ends[0] = at->ends[1] = 0.0;
@@ -241,17 +248,17 @@ static inline int jaxstab_limits_in(const jaxstab_atlas *atlas, const jaxstab_pl
     if (!(u >= 0.0 && u <= (double)count))
         return 0;
     const size_t row = (size_t)u < count ? (size_t)u : count - 1;
-    const jaxstab_near near = jaxstab_weights(NULL, count, 0, row, u);
-    limits[0] = limits[1] = 0.0;
+    const jaxstab_near near = jaxstab_weights(NULL, NULL, count, row, u);
+    double rows[8] = {0.0};
     for (int c = 0; c < at->count; c++) {
         const double *own = atlas->alpha_limits + 2 * (at->node[c] * atlas->rows + near.first);
-        double lower = 0.0, upper = 0.0;
-        for (int j = 0; j < near.count; j++) {
-            lower += near.weight[j] * own[2 * j];
-            upper += near.weight[j] * own[2 * j + 1];
-        }
-        limits[0] += at->weight[c] * lower;
-        limits[1] += at->weight[c] * upper;
+        for (int j = 0; j < 2 * near.count; j++)
+            rows[j] += at->weight[c] * own[j];
+    }
+    limits[0] = limits[1] = 0.0;
+    for (int j = 0; j < near.count; j++) {
+        limits[0] += near.weight[j] * rows[2 * j];
+        limits[1] += near.weight[j] * rows[2 * j + 1];
     }
     *cell = at->cell * count + row;
     return 1;
