@@ -78,6 +78,10 @@ def test_the_tables_are_those_of_the_records() -> None:
     records = record.read_all(record.RESULTS)
     assert rivals(records, brief=True) in README
     assert resolutions(records) in README
+    (one,) = (record for record in records if record["benchmark"] == "resolution")
+    cubic = [row for row in one["rows"] if row["method"] == "cubic"]
+    assert 1.2 < max(row["ratio"] for row in cubic) <= 1.3  # as docs/accuracy.md says
+    assert max(row["wrong"] for row in cubic) == 0
 
 
 def test_the_first_answer_is_what_the_command_prints() -> None:

@@ -160,9 +160,8 @@ class LimitTable:
             first = (nodes[0] * self.delta.size + nodes[1]) * self.delay.size + nodes[2]
             order = np.argsort(first.astype(number_type), kind="stable")
             if order.size > 1:
-                cells, block = (
-                    [v if v.size == 1 else v[order] for v in group] for group in (cells, block)
-                )
+                cells = [v if v.size == 1 else v[order] for v in cells]
+                block = [v if v.size == 1 else v[order] for v in block]
             part = answer(self._plants(first[order], cells, block[-3:]), *block[:-3])
             if order.size > 1:
                 part[order] = part.copy()
