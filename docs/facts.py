@@ -84,7 +84,7 @@ KINDS = {
 # Others measured these, or they define a word, a rule of the house, or what was run.
 STATED = {
     "CONTRIBUTING.md": ["up to 1,000 lines"],
-    "docs/commands.md": ["| 130 | Interrupted"],
+    "docs/commands.md": ["| 130 | Ended"],
     "docs/contact.md": [
         "1 N (0.05 N m)",
         "(0.02 to 2 kg, 0.01 to 3 N s/m, encoders of 1 to 50 µm,",

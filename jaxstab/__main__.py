@@ -1,19 +1,19 @@
-"""The command line, as ``jaxstab`` and as ``python -m jaxstab``."""
+"""The command line, as ``jaxstab`` and as ``python -m jaxstab``.
 
-import os
+Ctrl-C ends the process at once, as its default does: Python's own way waits until a program of XLA
+is compiled or has run, and for threads and processes.
+"""
+
 import signal
 from typing import Any
 
 
 def main(**options: Any) -> None:
-    """Run a command. While modules are imported, Ctrl-C ends the process at once."""
-    is_ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if is_ours:
-        signal.signal(signal.SIGINT, lambda *_: os._exit(130))
+    """Run a command."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not ignored, as by nohup
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
     from jaxstab.cli.main import main as run
 
-    if is_ours:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
     run(**options)
 
 

@@ -1,9 +1,9 @@
 """Files that appear whole or not at all, whatever happens to the process or the disk. No JAX.
 
-A file is written without a name, or under a temporary one, synchronised, renamed to its place, and
-the folder is synchronised. HDF5 cannot be trusted with a full disk (after an error it continues
-until it reads what was never written), so it writes to a stream of ours, which keeps the error for
-us.
+A file is written beside its place, as ``.jaxstab-*.part``, synchronised, renamed, and the folder is
+synchronised. An error removes it, and so does a signal that ends the process, but for SIGKILL. HDF5
+cannot be trusted with a full disk (after an error it continues until it reads what was never
+written), so it writes to a stream of ours, which keeps the error for us.
 """
 
 import errno
@@ -11,33 +11,28 @@ import io
 import mmap
 import os
 import secrets
+import signal
 import stat
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
-_OPENED = "/proc/self/fd"
+_ENDING = [getattr(signal, own) for own in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, own)]
 OUTPUTS: dict[Path, str] = {}
 """What the command at work is to write, with its options: it may read none of these files."""
 _TAKEN = "another process has written it meanwhile; remove that file, or give another name"
 
 
-Identity = tuple[int, ...] | None  # of a file at a path; None where there is none
-ANY: Identity = ()
-
-
-def publish(data: bytes, path: Path, former: Identity = ANY) -> None:
-    """Put a whole file in its place, durably and by one rename, or change nothing.
-
-    ``former`` is the only file that may be replaced, as ``replacing`` has it; None: none may.
-    """
-    with replacing(path, former) as descriptor:
+def publish(data: bytes, path: Path, *, may_replace: bool = True) -> None:
+    """Put a whole file in its place, durably and by one rename, or change nothing."""
+    with replacing(path, may_replace=may_replace) as descriptor:
         write_all(descriptor, data)
 
 
-def identity_of(path: Path) -> Identity:
+def identity_of(path: Path) -> tuple[int, ...] | None:
     """The identity of a file, unlike that of any later one of its name; None without one."""
     try:
         status = os.stat(path)
@@ -47,38 +42,24 @@ def identity_of(path: Path) -> Identity:
 
 
 @contextmanager
-def replacing(path: Path, former: Identity = ANY) -> Iterator[int]:
+def replacing(path: Path, *, may_replace: bool = True) -> Iterator[int]:
     """Yield the descriptor of a new file, which takes the place of the old one if no error occurs.
 
-    ``former`` is the only file that may be replaced: that of another process is not.
     OSError: the folder is missing, read-only or full, the path is not that of a file, or the new
     file was removed; or the new file is there, but its name not yet on the disk, as the sentence
-    then says; FileExistsError: another file is at the path.
+    then says; FileExistsError: a file that may not be replaced is at the path, also one that has
+    appeared meanwhile.
     """
     with named_errors("write", path):
         target, mode = target_of(path)
-        temporary = target.parent / f".{secrets.token_hex(8)}.part"
-        try:
-            descriptor, is_named = _new_file(temporary)
-            try:
+        with _temporary(target.parent) as temporary:
+            with temporary.open("x+b", buffering=0) as file:
                 if mode is not None and hasattr(os, "fchmod"):
-                    os.fchmod(descriptor, mode)
-                yield descriptor
-                os.fsync(descriptor)
-                if not is_named:
-                    _name(descriptor, temporary)
-            finally:
-                os.close(descriptor)
-            if former != ANY and identity_of(target) != former:
-                raise FileExistsError(errno.EEXIST, _TAKEN)
-            if former is None and _linked(temporary, target):
-                temporary.unlink()
-            else:
+                    os.fchmod(file.fileno(), mode)
+                yield file.fileno()
+                os.fsync(file.fileno())
+            if may_replace or not _linked(temporary, target):
                 os.replace(temporary, target)
-        except BaseException:
-            with suppress(OSError):
-                temporary.unlink()
-            raise
     try:
         _synchronise(target.parent)
     except OSError as error:
@@ -87,34 +68,37 @@ def replacing(path: Path, former: Identity = ANY) -> Iterator[int]:
         raise type(error)(error.errno, f"{path} {words}: {reason}.") from error
 
 
-def _new_file(path: Path) -> tuple[int, bool]:
-    """Return the descriptor of a new file, and whether it has a name already.
+@contextmanager
+def _temporary(folder: Path) -> Iterator[Path]:
+    """Yield the name of a file that is gone at the end, also where a signal ends the process."""
+    path = folder / f".jaxstab-{secrets.token_hex(8)}.part"
 
-    On Linux it gets its name when it is whole: a process that ends before, however, leaves nothing.
-    """
-    if hasattr(os, "O_TMPFILE") and os.path.exists(_OPENED):
-        with suppress(OSError):  # not every file system has files without names
-            return os.open(path.parent, os.O_TMPFILE | os.O_RDWR, 0o666), False
-    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
-    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666), True
+    def end(number: int, _: object) -> None:
+        with suppress(OSError):
+            path.unlink()
+        signal.signal(number, signal.SIG_DFL)
+        signal.raise_signal(number)
 
-
-def _name(descriptor: int, path: Path) -> None:
-    """Give a file without a name one."""
-    opened = os.open(_OPENED, os.O_RDONLY)  # with it, Python follows the link to the file
+    is_main = threading.current_thread() is threading.main_thread()  # no other may set handlers
+    ending = [own for own in _ENDING if is_main and signal.getsignal(own) is signal.SIG_DFL]
+    for own in ending:
+        signal.signal(own, end)
     try:
-        os.link(str(descriptor), path, src_dir_fd=opened)
+        yield path
     finally:
-        os.close(opened)
+        with suppress(OSError):
+            path.unlink()
+        for own in ending:
+            signal.signal(own, signal.SIG_DFL)
 
 
 def _linked(path: Path, target: Path) -> bool:
     """Give a file a second name, unless it is taken; False where the file system has no links."""
     try:
         os.link(path, target)
-    except FileExistsError as error:
-        raise FileExistsError(errno.EEXIST, _TAKEN) from error
-    except OSError:
+    except OSError as error:
+        if os.path.lexists(target):
+            raise FileExistsError(errno.EEXIST, _TAKEN) from error
         return False
     return True
 

@@ -606,7 +606,7 @@ def write(table: "Dataset", path: Path) -> None:
     encoding = {name: stored for name in table.data_vars if table[name].ndim}
     with (
         table.to_netcdf(engine="h5netcdf", encoding=encoding) as image,
-        replacing(path, former=None) as descriptor,
+        replacing(path, may_replace=False) as descriptor,
     ):
         write_all(descriptor, image)
 

@@ -1,10 +1,6 @@
 """Builds: one file by one rename, the same bytes however it is computed, nothing left over."""
 
 import os
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -15,7 +11,7 @@ import h5py
 import numpy as np
 import pytest
 from atlases import SMALL, edited, small_file, write_small
-from commands import START, run
+from commands import run
 
 from jaxstab import AtlasSpec, FieldSpec, build_atlas, open_atlas
 from jaxstab.atlas import build
@@ -23,7 +19,6 @@ from jaxstab.atlas.build import verify_atlas, write_atlas
 from jaxstab.cli.options import processes
 
 TINY = AtlasSpec(gamma=[0.0], delta=[0.015], delay=[0.0, 0.1], rows=5)
-LONG = AtlasSpec(gamma=np.linspace(0.0, 1e-3, 25), delta=np.linspace(0.0, 0.015, 25))
 FORMER = b"the former file"
 
 
@@ -114,68 +109,6 @@ def test_a_build_that_fails_leaves_nothing_and_the_former_file(tmp_path: Path) -
     with pytest.raises(StopError):
         write_atlas(SMALL, path, stop)
     assert (entries(tmp_path), path.read_bytes()) == (["a.h5"], FORMER)
-
-
-@pytest.mark.parametrize("former", [False, True])
-def test_a_build_replaces_only_the_file_that_it_saw_at_the_start(
-    former: bool, tmp_path: Path
-) -> None:
-    path = tmp_path / "a.h5"
-    if former:
-        path.write_bytes(FORMER)
-
-    def meanwhile(done: int, _: int) -> None:
-        path.write_bytes(b"that of another process")
-
-    with pytest.raises(FileExistsError, match="another process has written it meanwhile"):
-        write_atlas(TINY, path, meanwhile)
-    assert path.read_bytes() == b"that of another process"
-    assert entries(tmp_path) == ["a.h5"]
-
-
-def test_a_file_without_a_name_is_gone_with_its_process(tmp_path: Path) -> None:
-    lines = (
-        "import os, signal, sys, pathlib",
-        "from jaxstab.durable import replacing",
-        "with replacing(pathlib.Path(sys.argv[1])) as descriptor:",
-        "    os.write(descriptor, b'half')",
-        "    os.kill(os.getpid(), signal.SIGKILL)",
-    )
-    words = [sys.executable, "-c", "\n".join(lines), str(tmp_path / "a")]
-    assert subprocess.run(words, check=False).returncode == -signal.SIGKILL
-    if sys.platform == "linux" and hasattr(os, "O_TMPFILE"):
-        assert entries(tmp_path) == []
-
-
-def living(group: int) -> list[str]:
-    """The processes of a group that have not ended; what no one has waited for yet has."""
-    words = ["ps", "-eo", "pgid=,stat=,args="]
-    lines = subprocess.run(words, capture_output=True, text=True, check=True).stdout.splitlines()
-    rows = [line.split(maxsplit=2) for line in lines]
-    return [args for pgid, state, args in rows if int(pgid) == group and state[0] != "Z"]
-
-
-@pytest.mark.parametrize("more", [[], ["--workers", "2"]], ids=["here", "workers"])
-@pytest.mark.parametrize("delay", [0.3, 1.5, 4.0])
-@pytest.mark.campaign
-def test_ctrl_c_ends_a_build_within_3_s_and_leaves_nothing(
-    more: list[str], delay: float, tmp_path: Path
-) -> None:
-    (tmp_path / "out").mkdir()
-    (tmp_path / "long.toml").write_text(LONG.to_toml())
-    words = [sys.executable, "-c", START, "atlas", "build", "--spec", str(tmp_path / "long.toml")]
-    words += ["-o", str(tmp_path / "out" / "a.h5"), *more]
-    child = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, start_new_session=True)
-    time.sleep(delay)
-    os.killpg(child.pid, signal.SIGINT)  # as a terminal sends it: to all processes
-    start = time.perf_counter()
-    _, said = child.communicate(timeout=10)
-    assert "leaked" not in said
-    assert time.perf_counter() - start < 3.0
-    assert child.returncode in (130, -signal.SIGINT)  # the latter before Python is up
-    assert entries(tmp_path / "out") == []
-    time.sleep(0.5)
-    assert living(child.pid) == []
 
 
 def test_a_worker_that_dies_is_one_sentence(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import errno
 import io
 import os
+import signal
 import stat
 import subprocess
 import sys
@@ -131,6 +132,69 @@ def test_a_file_has_any_name_that_the_system_takes(tmp_path: Path) -> None:
     assert longest.read_bytes() == b"data"
 
 
+def test_a_new_file_has_the_mode_that_the_umask_says(tmp_path: Path) -> None:
+    former = os.umask(0o027)
+    try:
+        durable.publish(b"data", tmp_path / "file")
+    finally:
+        os.umask(former)
+    assert (tmp_path / "file").stat().st_mode & 0o777 == 0o640
+
+
+ENDED = """
+import os, pathlib, signal, sys
+from jaxstab.durable import replacing
+
+signal.signal(signal.SIGINT, signal.SIG_DFL)
+with replacing(pathlib.Path("a")) as descriptor:
+    os.write(descriptor, b"half")
+    os.kill(os.getpid(), int(sys.argv[1]))
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP", "SIGKILL"])
+def test_a_file_that_is_half_written_when_a_signal_ends_the_process_is_removed(
+    name: str, tmp_path: Path
+) -> None:
+    """SIGKILL leaves it under its own name, and nothing under that of the target."""
+    number = getattr(signal, name)
+    words = [sys.executable, "-c", ENDED, str(int(number))]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (-number, b"")
+    left = [*tmp_path.glob(".jaxstab-*.part")]
+    assert [*tmp_path.iterdir()] == left
+    assert len(left) == (name == "SIGKILL")
+
+
+def test_signals_are_as_they_were_when_a_file_is_written(tmp_path: Path) -> None:
+    numbers = signal.SIGINT, signal.SIGTERM
+    before = [signal.getsignal(number) for number in numbers]
+    durable.publish(b"data", tmp_path / "file")
+    assert [signal.getsignal(number) for number in numbers] == before
+
+
+@pytest.mark.parametrize("has_links", [True, False])
+def test_a_file_that_appears_meanwhile_is_kept(
+    has_links: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object) -> None:
+        raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+
+    if not has_links:  # as on a memory stick
+        monkeypatch.setattr(os, "link", refused)
+    path = tmp_path / "file"
+    durable.publish(b"ours", path, may_replace=False)
+    assert path.read_bytes() == b"ours"
+    path.unlink()
+    with (
+        pytest.raises(FileExistsError, match="file: another process has written it meanwhile"),
+        durable.replacing(path, may_replace=False),
+    ):
+        path.write_bytes(b"theirs")
+    assert (path.read_bytes(), [*tmp_path.iterdir()]) == (b"theirs", [path])
+
+
 def test_what_a_full_disk_does_not_take_can_be_closed() -> None:
     image, full = io.BytesIO(b"image"), os.open("/dev/full", os.O_WRONLY)
     with pytest.raises(OSError, match="No space left") as _, image.getbuffer() as view:
@@ -186,7 +250,7 @@ def test_what_takes_long_is_shown_on_a_terminal(
         process = [sys.executable, "-c", START, *command]
         done = subprocess.run(process, stderr=terminal, stdout=subprocess.PIPE, text=True)
         os.close(terminal)
-        assert words in os.read(shown.fileno(), 10**4).decode()
+        assert words in os.read(shown.fileno(), 10**4).decode(errors="replace")
     assert answer in done.stdout
 
 

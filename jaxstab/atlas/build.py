@@ -5,15 +5,14 @@ walls, and a build whose table contradicts a computed verdict is given up. Then 
 tile by tile, each written as soon as it is there. Runs and tiles are computed here, or by any
 executor.
 
-The file takes its place by one rename when it is whole. It replaces only the file that was there
-when the build began: if another process has written one meanwhile, the build is refused. A build
-that fails, or is interrupted, leaves nothing.
+The file takes its place by one rename when it is whole. A build that fails, or is interrupted,
+leaves nothing.
 """
 
 import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import suppress
 from functools import partial
 from itertools import islice
@@ -30,7 +29,7 @@ from jaxstab.atlas.query import Atlas, open_atlas
 from jaxstab.atlas.spec import AtlasSpec, words_of
 from jaxstab.atlas.table import LimitTable
 from jaxstab.conventions import AXES, Verdict
-from jaxstab.durable import identity_of, named_errors, replacing, target_of
+from jaxstab.durable import replacing
 from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.numbers import require_kind
 from jaxstab.point import verdict
@@ -61,7 +60,6 @@ def build_atlas(
 
     Raises:
         OSError: the folder is missing, read-only or full; a former file is still there.
-            FileExistsError: another process wrote the file meanwhile.
         ValueError: a parameter is too large for the model, or an axis cannot be fitted.
         RuntimeError: workers died, or the table contradicts computed verdicts: give more nodes.
 
@@ -83,9 +81,9 @@ def write_atlas(
 ) -> None:
     """Build an atlas of any size; see ``build_atlas``, which opens it."""
     require_kind("spec", spec, AtlasSpec)
-    with named_errors("write", path):
-        former = identity_of(target_of(path)[0])
-    with replacing(path, former=former) as descriptor:
+    with replacing(path) as descriptor, ThreadPoolExecutor(1) as here:
+        # A thread of its own for what is computed here: this one hears of signals at once.
+        where = executor or _own_client() or here
         plan = LimitPlan.of(spec)
         grid = lay_out(spec) if spec.fields is not None else None
         runs, tiles = plan.runs, grid.tiles if grid is not None else []
@@ -93,7 +91,7 @@ def write_atlas(
 
         def results(tasks: list[Any]) -> Iterator[Any]:
             nonlocal done
-            for result in _computed(tasks, executor or _own_client()):
+            for result in _computed(tasks, where):
                 done += 1
                 yield result
                 if progress is not None:
@@ -101,7 +99,7 @@ def write_atlas(
 
         parts = list(results([partial(plan.computed, run) for run in runs]))
         table = joined(spec, parts)
-        tested = asked_at_random(table, spec.filters)
+        tested = here.submit(asked_at_random, table, spec.filters).result()
         if tested["tested_wrong"]:
             raise RuntimeError(
                 f"{tested['tested_wrong']} of {tested['tested_points']} random walls would be "
@@ -172,13 +170,9 @@ def _beyond(low: Any, high: Any, share: Any) -> Any:
 # ------------------------------------------------------------------------------- where is computed
 
 
-def _computed(tasks: Iterable[Callable[[], Any]], executor: Executor | None) -> Iterator[Any]:
+def _computed(tasks: Iterable[Callable[[], Any]], executor: Executor) -> Iterator[Any]:
     """Yield the results of tasks in order, a few ahead of who takes them."""
     in_flight = 8  # results that are computed ahead of what is written
-    if executor is None:
-        for task in tasks:
-            yield task()
-        return
     waiting = iter(tasks)
     running = deque(executor.submit(task) for task in islice(waiting, in_flight))
     try:

@@ -1,10 +1,9 @@
 """The command line. JAX, matplotlib and rich are imported inside the commands that need them.
 
 Exit codes: 0, answered, and everything is stable; 1, answered, and something is not proved stable;
-2, not answered. Ctrl-C ends with 130.
+2, not answered.
 """
 
-import atexit
 import io
 import os
 import sys
@@ -22,7 +21,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import jaxstab
 from jaxstab.cli import plane, scene
-from jaxstab.cli.options import INTERRUPTED, prompt_interrupts
 from jaxstab.shown import printable
 
 
@@ -39,7 +37,7 @@ class OneSentence(click.Group):
             stdout: Any = sys.stdout
             if stdout is None:
                 raise OSError("stdout is closed; redirect it to a file, or to /dev/null.")
-            with prompt_interrupts(), warnings.catch_warnings():
+            with warnings.catch_warnings():
                 warnings.filterwarnings("ignore", "delay is ")  # scenes say so themselves
                 warnings.showwarning = lambda words, *_, **__: scene.warn(_with_remedy(str(words)))
                 code = run()
@@ -47,12 +45,8 @@ class OneSentence(click.Group):
         except click.ClickException as error:
             words = error.format_message() + self._missing(error)
             _fail(words if words.startswith("Usage:") else f"jaxstab: {words}")
-        except click.Abort:
-            _fail(INTERRUPTED, 130)
-        except KeyboardInterrupt:
-            _say(INTERRUPTED)
-            atexit._run_exitfuncs()
-            os._exit(130)  # threads of XLA that still compute crash a process that ends in order
+        except click.Abort:  # Ctrl-C, where Python hears of it
+            sys.exit(130)
         except (_NoReader, BrokenPipeError):  # the reader of our output has enough
             _drop(sys.stdout)
             _drop(sys.stderr)
@@ -107,14 +101,8 @@ def _open_what_is_closed() -> None:
     sys.stderr = sys.stderr or io.StringIO()
 
 
-def _fail(words: str, code: int = 2) -> NoReturn:
-    """End with a sentence on stderr."""
-    _say(words)
-    sys.exit(code)
-
-
-def _say(words: str) -> None:
-    """Print a sentence on stderr, in which nothing commands the terminal; flush stdout."""
+def _fail(words: str) -> NoReturn:
+    """End with a sentence on stderr, in which nothing commands the terminal; flush stdout."""
     try:
         click.echo(printable(words, "\n"), err=True)
     except OSError:
@@ -125,6 +113,7 @@ def _say(words: str) -> None:
         pass
     except OSError:
         _drop(sys.stdout)
+    sys.exit(2)
 
 
 def _drop(stream: Any) -> None:

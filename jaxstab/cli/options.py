@@ -1,14 +1,4 @@
-"""Shared by commands: values of options, checked before anything is computed; cache and workers.
-
-Ctrl-C ends every command within a second or two, whatever it is doing.
-
-Python answers a signal between two instructions of its main thread. A program of XLA that is
-compiled or runs there holds it up, for minutes if need be, and so do threads and processes for
-which a command waits when it ends. So SIGINT is blocked in all threads and, as they inherit that,
-in all worker processes. One thread waits for it, and interrupts the main thread by another signal:
-files that are half-written are removed, and workers are ended. If the process is still there a
-second later, the thread says so in its place, and ends it.
-"""
+"""Shared by commands: values of options, checked before anything is computed; cache and workers."""
 
 import csv
 import io
@@ -17,19 +7,18 @@ import os
 import signal
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager, suppress
 from functools import partial, reduce
-from multiprocessing import active_children, get_context, parent_process, resource_tracker
+from multiprocessing import active_children, get_context, parent_process
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
 import jaxstab
-from jaxstab.durable import ANY, OUTPUTS, Identity, publish, target_of
+from jaxstab.durable import OUTPUTS, publish, target_of
 from jaxstab.shown import shortened
 from jaxstab.tables import text_of
 
@@ -139,9 +128,9 @@ def plot_option(words: str) -> Callable[[Command], Command]:
     return file_option("--plot", endings=PICTURES, help=words)
 
 
-def write_beside(data: bytes, path: Path, former: Identity = ANY) -> None:
+def write_beside(data: bytes, path: Path, *, may_replace: bool = True) -> None:
     """Write a file beside an answer on stdout, as ``publish`` does, and name it on stderr."""
-    publish(data, path, former)
+    publish(data, path, may_replace=may_replace)
     click.echo(f"jaxstab: wrote {path}", err=True)
 
 
@@ -154,7 +143,7 @@ def require_one_stdout(as_json: bool, file: Path | None) -> None:
 
 
 def print_with_csv(
-    words: Any, rows: Iterable[Iterable[Any]], file: Path | None, former: Identity = ANY
+    words: Any, rows: Iterable[Iterable[Any]], file: Path | None, *, may_replace: bool = True
 ) -> None:
     """Print an answer, and write its rows into a CSV file; for "-" print only the rows."""
     if file:
@@ -165,7 +154,7 @@ def print_with_csv(
         if str(file) == "-":
             words = data.rstrip(b"\n")
         else:
-            write_beside(data, file, former)
+            write_beside(data, file, may_replace=may_replace)
     click.echo(words)
 
 
@@ -202,6 +191,7 @@ def at_work(words: str) -> Iterator[Callable[[float, float], None]]:
     times = bars.TimeElapsedColumn(), bars.TimeRemainingColumn()
     columns = bars.TextColumn("{task.description}"), bars.BarColumn(), *times
     with bars.Progress(*columns, console=Console(stderr=True), transient=True) as shown:
+        shown.console.show_cursor()  # which Ctrl-C would leave hidden
         task = shown.add_task(words, total=None)
         yield lambda done, total: shown.update(task, completed=done, total=total)
 
@@ -300,53 +290,7 @@ def _address_in(file: Path) -> str:
         ) from None
 
 
-# Ctrl-C, and processes that end with it.
-
-INTERRUPTED = "jaxstab: interrupted; no file is half-written."
-
-
-@contextmanager
-def prompt_interrupts() -> Iterator[None]:
-    """End this process soon after Ctrl-C; elsewhere than on POSIX, Python's own way remains."""
-    if os.name != "posix" or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    done = threading.Event()
-    former = signal.signal(signal.SIGUSR1, signal.default_int_handler)
-    with _mask_kept():
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        watch = threading.Thread(target=_watch, args=(done,), daemon=True)
-        watch.start()
-        try:
-            yield
-        finally:
-            done.set()
-            assert watch.ident is not None  # it was started
-            signal.pthread_kill(watch.ident, signal.SIGINT)
-    signal.signal(signal.SIGUSR1, former)
-
-
-def _watch(done: threading.Event) -> None:
-    patience = 1.0  # s
-    signal.sigwait({signal.SIGINT})
-    if done.is_set():
-        return
-    main = threading.main_thread().ident
-    assert main is not None  # it runs
-    signal.pthread_kill(main, signal.SIGUSR1)
-    time.sleep(patience)
-    end_workers()
-    if not done.is_set():
-        cursor = "\r\033[2K\033[?25h" if os.isatty(2) else ""  # which a bar has hidden
-        with suppress(OSError):
-            os.write(2, f"{cursor}{INTERRUPTED}\n".encode())
-    os._exit(130)
-
-
-def end_workers() -> None:
-    """End the worker processes of this one at once, whatever they compute."""
-    for child in active_children():
-        child.kill()
+# Processes that end with the command.
 
 
 @contextmanager
@@ -355,55 +299,32 @@ def processes(count: int) -> Iterator[ProcessPoolExecutor]:
 
     They end at once where an error leaves the ``with`` statement, and with this process.
     """
-    with _mask_kept(), _silent():  # the tracker of resources changes the mask when it starts
-        resource_tracker.ensure_running()
-    with _Workers(count, get_context("spawn"), _end_with_parent) as pool:
+    # Of what a sudden end leaves, the tracker of resources clears up, and would report it.
+    os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker:UserWarning")
+    with _Workers(count, get_context("spawn"), _begin_worker) as pool:
         try:
             yield pool
         except BaseException:
-            end_workers()
+            for child in active_children():
+                child.kill()
             raise
 
 
 class _Workers(ProcessPoolExecutor):
-    """Processes that ``submit`` starts whole: an interruption waits until one has begun."""
+    """Processes that inherit a blocked SIGINT, or they would print what Ctrl-C stopped at first."""
 
     def submit(self, *given: Any, **options: Any) -> Future[Any]:
-        with _mask_kept():
-            if os.name == "posix":
-                signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGUSR1})
+        if os.name != "posix":
             return super().submit(*given, **options)
+        former = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            return super().submit(*given, **options)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, former)
 
 
-@contextmanager
-def _mask_kept() -> Iterator[None]:
-    """Keep the signals that this thread blocks, whatever is blocked meanwhile."""
-    if os.name != "posix":
-        yield
-        return
-    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, [])
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
-
-
-@contextmanager
-def _silent() -> Iterator[None]:
-    """Let the tracker that starts meanwhile not report what it clears up after a sudden end."""
-    name, silence = "PYTHONWARNINGS", "ignore:resource_tracker:UserWarning"
-    before = os.environ.get(name)
-    os.environ[name] = f"{before},{silence}" if before else silence
-    try:
-        yield
-    finally:
-        os.environ.pop(name)
-        if before is not None:
-            os.environ[name] = before
-
-
-def _end_with_parent() -> None:
-    """End this worker when its parent ends, in whatever way."""
+def _begin_worker() -> None:
+    """End this worker at once with Ctrl-C, and when its parent ends, in whatever way."""
 
     def wait() -> None:
         parent = parent_process()
@@ -412,3 +333,6 @@ def _end_with_parent() -> None:
         os._exit(1)
 
     threading.Thread(target=wait, daemon=True).start()
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    if os.name == "posix":
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})

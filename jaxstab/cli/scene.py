@@ -519,7 +519,7 @@ def _write_shipped(folder: str, name: str, output: Path | None) -> None:
         click.echo(text, nl=False)
         return
     t.require_free(output)
-    publish(text.encode(), output, former=None)
+    publish(text.encode(), output, may_replace=False)
     click.echo(output)
 
 
@@ -883,7 +883,7 @@ def study(
     if output is not None:
         t.write(table, output)
     cells = _cells(table) if csv_file else ()
-    print_with_csv(_report(table, is_small=rows <= most), cells, csv_file, former=None)
+    print_with_csv(_report(table, is_small=rows <= most), cells, csv_file, may_replace=False)
     if plot:
         from jaxstab.pictures.scene import study_figure
 
