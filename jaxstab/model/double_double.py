@@ -86,7 +86,7 @@ class DoubleDouble:
     def __truediv__(self, other: Union[Array, float, "DoubleDouble"]) -> "DoubleDouble":
         return _of_namespace(_quotient, self, other)
 
-    def scaled(self, power_of_two: float) -> "DoubleDouble":
+    def scaled(self, power_of_two: Array | float) -> "DoubleDouble":
         """Multiply by a power of two, which is exact."""
         return DoubleDouble(self.hi * power_of_two, self.lo * power_of_two)
 

@@ -12,13 +12,13 @@ any device, is the middle of its balls (``balls.linear_loop``).
 """
 
 from fractions import Fraction
-from functools import lru_cache, reduce
+from functools import lru_cache, partial, reduce
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.arrays import Array, Numbers, float_arrays, is_any_jax, namespace
+from jaxstab.arrays import Array, Numbers, float_arrays, is_any_jax, namespace, tree_map
 from jaxstab.batches import MANY, compiled
 from jaxstab.model.double_double import DoubleDouble, size_sum
 from jaxstab.model.filters import (
@@ -32,6 +32,7 @@ from jaxstab.model.filters import (
 )
 from jaxstab.model.plant import (
     TracedDelay,
+    bounded_delay,
     checked_delay,
     checked_delta,
     checked_gain,
@@ -78,11 +79,17 @@ class LinearLoop(NamedTuple):
 
 
 def filtered_loop(
-    gamma: Array, delta: Array, whole_delay: int, fraction: Array | float, filters: Filters
+    gamma: Array,
+    delta: Array,
+    whole_delay: int | Array,
+    fraction: Array | float,
+    filters: Filters,
+    longest: int | None = None,
 ) -> LinearLoop:
     """The loop of device and hand of one mass (eq. (9)) with filters in units of one sample.
 
-    The fraction of the delay is 0.0, or nowhere 0.
+    The fraction of the delay is 0.0, or nowhere 0, or traced: then p(z) may be divisible by z. A
+    whole delay that is traced is at most ``longest``.
     """
     pairs = plant_pairs(gamma, delta, fraction)
     xp = namespace(pairs)
@@ -96,11 +103,10 @@ def filtered_loop(
     errors = 2.0 * relative + gamma * rounding, 3.0 * rounding, 3.0 * rounding  # D(1) = gamma N(1)
     factors, inherited = filter_factors(filters)
     parts = [product(plant, factor) for plant, factor in zip(plants, factors, strict=True)]
-    zeros = (_ZERO,) * (whole_delay + 1)
-    parts[1:] = [zeros + part for part in parts[1:]]
+    parts[1:] = [_delayed(part, whole_delay, longest) for part in parts[1:]]
     degree = max(map(len, parts)) - 1
-    base, stiffness, damping = (part + zeros[:1] * (degree + 1 - len(part)) for part in parts)
-    late = -1.0 if len(zeros) % 2 else 1.0
+    base, stiffness, damping = (part + (_ZERO,) * (degree + 1 - len(part)) for part in parts)
+    late = 2.0 * (whole_delay % 2) - 1.0
     turned = (-pairs.d1 + _ONE + pairs.d0, *[pairs.difference.scaled(late)] * 2)
     ends = (pairs.den_at_one, pairs.sum, pairs.sum), turned
     sizes = [size_sum(part) + error for part, error in zip(factors, inherited, strict=True)]
@@ -121,6 +127,22 @@ def filtered_loop(
         errors=(bounds[0], bounds[1], bounds[2]),
         is_free=xp.asarray(gamma) == 0.0,
     )
+
+
+def _delayed(part: Polynomial, whole_delay: int | Array, longest: int | None) -> Polynomial:
+    """A polynomial in 1/z, a sample and the whole delay later."""
+    if longest is None or isinstance(whole_delay, int):
+        return (_ZERO,) * (whole_delay + 1) + part
+
+    def at(place: int) -> DoubleDouble:
+        value = _ZERO
+        for power, coefficient in enumerate(part):
+            if 0 <= place - power <= longest:
+                is_here = whole_delay == place - power
+                value = tree_map(partial(namespace(is_here).where, is_here), coefficient, value)
+        return value
+
+    return (_ZERO, *map(at, range(longest + len(part))))
 
 
 Factors = tuple[Polynomial, Polynomial, Polynomial]
@@ -207,7 +229,7 @@ def _is_zero(value: DoubleDouble) -> bool:
 def polynomial_degree(delay: Numbers) -> int:
     """The degree of p(z) without filters, the largest of all delays: 3 + d, or 4 + floor(d)."""
     if isinstance(delay, TracedDelay):  # a fraction that is traced may be any
-        return 4 + delay.whole
+        return 4 + delay.longest
     return 3 + int(np.ceil(np.max(checked_delay(delay), initial=0.0)))
 
 
@@ -218,6 +240,7 @@ def characteristic_polynomial(
     gamma: Numbers,
     delta: Numbers,
     delay: Numbers,
+    longest_delay: int | float | None = None,
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> Float64[Array, "*grid coefficient"]:
@@ -232,12 +255,15 @@ def characteristic_polynomial(
 
     Args:
         alpha, beta, gamma, delta, velocity, position: see ``jaxstab.conventions``.
-        delay: time delay t_d/T >= 0 in samples, concrete. Polynomials of unlike degree in one array
-            are multiplied by powers of z (zeros at the end): their other roots stay.
+        delay: time delay t_d/T >= 0 in samples, concrete or, with ``longest_delay``, traced by JAX.
+            Polynomials of unlike degree in one array are multiplied by powers of z (zeros at the
+            end): their other roots stay.
+        longest_delay: see ``jaxstab.conventions``.
 
     Returns:
-        Array of shape (*grid, degree + 1), differentiable in alpha, beta, gamma, delta, and in the
-        cut-offs and factors of filters. Without filters the degree is 3 + ceil(delay).
+        Array of shape (*grid, degree + 1), differentiable in alpha, beta, gamma, delta, a traced
+        delay, and in the cut-offs and factors of filters. Without filters the degree is 3 +
+        ceil(delay), and 4 + floor(longest_delay) for a traced delay.
 
     Raises: see ``jaxstab.conventions``; ValueError also if a filter is incompatible with a sampling
     period of 1, TypeError if an array of delays meets filters and traced arguments.
@@ -249,12 +275,15 @@ def characteristic_polynomial(
         [1.0, -1.85, 1.05, -0.1]
     """
     require_together(alpha=alpha, beta=beta, gamma=gamma, delta=delta, delay=delay)
-    whole_part, fraction = whole_and_fraction(delay)
+    late = bounded_delay(delay, longest_delay)
+    whole_part, fraction = whole_and_fraction(late)
     gains = float_arrays(checked_gain("alpha", alpha), checked_gain("beta", beta))
     hand = checked_gamma(gamma), checked_delta(delta)
     filters = given_filters(velocity, position) or NO_FILTERS
-    if isinstance(delay, TracedDelay):
-        return _polynomial((*gains, *hand), fraction, filters, whole_delay=delay.whole)
+    if isinstance(late, TracedDelay):
+        gamma, delta = hand
+        loop = filtered_loop(gamma, delta, late.whole, fraction, filters, late.longest)
+        return loop_polynomial(*gains, loop)
     return _polynomials((*gains, *hand), np.asarray(whole_part + fraction), filters)
 
 

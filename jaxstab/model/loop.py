@@ -273,7 +273,8 @@ class LoopParameters:
         fraction = self.delay / self.sample_time - whole
         # A whole delay stays so up to the rounding of the division, its derivative unchanged.
         is_less, xp = fraction <= 4.0 * ulp(whole), namespace(fraction)
-        return TracedDelay(whole, fraction - xp.where(is_less, constant(fraction), 0.0))
+        fraction = fraction - xp.where(is_less, constant(fraction), 0.0)
+        return TracedDelay(whole, fraction, longest=whole)
 
     def tree_flatten(self) -> tuple[tuple[Any, ...], tuple[int | None, Device | None]]:
         """Return the parts that JAX traces, and the others: whole samples of delay, a device.

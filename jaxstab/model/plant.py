@@ -45,7 +45,7 @@ from jaxstab.arrays import (
 from jaxstab.batches import MANY_PLANTS, compiled
 from jaxstab.conventions import AXES
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.numbers import checked, require_together
+from jaxstab.numbers import checked, checked_number, in_doubles, require_together
 from jaxstab.numbers import require_x64 as require_x64  # offered here, too
 from jaxstab.rounding import DAMPED_PLANT, SOFT_DELTA, SOFT_GAMMA, SOFT_PLANT, STIFF_PLANT
 
@@ -56,10 +56,15 @@ LONGEST_DELAY = 500.0  # samples; with the longest filters p(z) is of a degree b
 
 
 class TracedDelay(NamedTuple):
-    """A delay in samples of which the whole part is known, and the fraction traced by JAX."""
+    """A delay in samples whose fraction JAX traces, and of up to ``longest`` the whole part, too.
 
-    whole: int
+    A whole part that is known is its own ``longest``: p(z) has the degree 4 + longest, and for
+    shorter delays it is multiplied by a power of z, which adds roots at 0.
+    """
+
+    whole: int | Array
     fraction: Array
+    longest: int
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -101,16 +106,37 @@ def checked_delay(delay: Numbers) -> Float64[np.ndarray, "*grid"]:
     """The delay in samples as a NumPy array, for it decides the degree of p(z); never traced."""
     if is_any_traced(delay):
         raise TypeError(
-            "delay must be a concrete number because it sets the degree of p(z); close over it or "
-            "mark it static instead of tracing it."
+            "delay is traced, but sets the degree of p(z): give longest_delay, where the function "
+            "has it, or close over the delay or mark it static."
         )
     return np.asarray(checked("delay", delay, 0.0, LONGEST_DELAY), np.float64)
 
 
-def whole_and_fraction(delay: Numbers | TracedDelay) -> tuple[Float64[np.ndarray, "*grid"], Array]:
+def bounded_delay(delay: Numbers, longest_delay: int | float | None) -> Numbers | TracedDelay:
+    """A delay that JAX traces up to a longest one, in parts; any other one, checked, as it is.
+
+    Beyond the range the fraction is NaN, and with it all that follows. The whole part has no
+    derivative: at whole delays the derivative is that to longer ones.
+    """
+    if longest_delay is None:
+        return delay
+    longest = float(checked_number("longest_delay", longest_delay, 0.0, LONGEST_DELAY))
+    if not is_traced(delay):
+        checked("delay", delay, 0.0, longest)
+        return delay
+    require_x64(delay)
+    xp, own = namespace(delay), in_doubles(delay)
+    is_within = (own >= 0.0) & (own <= longest)
+    whole = constant(xp.where(is_within, xp.floor(own), 0.0))
+    return TracedDelay(whole, xp.where(is_within, own - whole, xp.nan), int(longest))
+
+
+def whole_and_fraction(delay: Numbers | TracedDelay) -> tuple[Float64[Array, "*grid"], Array]:
     """The whole part and the fraction of a delay in samples; errors as ``checked_delay``."""
     if isinstance(delay, TracedDelay):
-        return np.asarray(delay.whole, np.float64), delay.fraction
+        return delay.whole if is_traced(delay.whole) else np.asarray(
+            delay.whole, float
+        ), delay.fraction
     concrete = checked_delay(delay)
     whole = np.asarray(np.floor(concrete))
     return whole, concrete - whole

@@ -108,6 +108,7 @@ def closed_loop_poles(
     gamma: Numbers,
     delta: Numbers,
     delay: Numbers,
+    longest_delay: int | float | None = None,
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> Complex128[Array, "*grid degree"]:
@@ -116,8 +117,8 @@ def closed_loop_poles(
     Args and Raises: see ``jaxstab.conventions``.
 
     Returns:
-        Array of shape (*grid, degree), the largest modulus first. For an array of delays, a loop of
-        a lower degree has zeros at the end.
+        Array of shape (*grid, degree), the largest modulus first. For an array of delays, or a
+        traced one, a loop of a lower degree has zeros at the end.
 
     Source: eq. (9); each pole is an exact root of a polynomial within a few ulp of p(z) (backward
     error), so a root of multiplicity k is only good to about ulp^(1/k).
@@ -129,7 +130,8 @@ def closed_loop_poles(
     point = by_name(alpha, beta, gamma, delta, delay)
     shape = require_together(**point)
 
-    polynomial = partial(characteristic_polynomial, velocity=velocity, position=position)
+    own = {"longest_delay": longest_delay, "velocity": velocity, "position": position}
+    polynomial = partial(characteristic_polynomial, **own)
     if is_any_traced(*point.values(), velocity, position):
         return companion_poles(polynomial(**point))
 

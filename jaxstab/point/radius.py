@@ -53,6 +53,7 @@ from jaxstab.model import (
 from jaxstab.model.double_double import leading, size
 from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, given_filters
 from jaxstab.model.linear_loop import LinearLoop, loop_polynomial
+from jaxstab.model.plant import bounded_delay
 from jaxstab.numbers import checked_word, require_together
 from jaxstab.point.dominance import (
     LONGEST_DELAY,
@@ -268,6 +269,7 @@ def spectral_radius(
     gamma: Numbers,
     delta: Numbers,
     delay: Numbers,
+    longest_delay: int | float | None = None,
     method: str = "fast",
     velocity: Velocity | None = None,
     position: Filter | None = None,
@@ -275,7 +277,8 @@ def spectral_radius(
     """The largest modulus of a closed-loop pole with a proved error bound.
 
     Args:
-        alpha, beta, gamma, delta, delay, velocity, position: see ``jaxstab.conventions``.
+        alpha, beta, gamma, delta, delay, longest_delay, velocity, position: see
+            ``jaxstab.conventions``.
         method: "fast" finds and proves the dominant root, without eigenvalues for many points of
             one delay up to 64, by XLA; "companion" takes the companion matrix and a ladder of
             verdicts for all. Inside jit, vmap and grad, and with filters, it is always the
@@ -303,12 +306,14 @@ def spectral_radius(
     require_together(**by_name(*arguments))
     filters = given_filters(velocity, position)
     if is_any_traced(arguments, filters):
-        coefficients = characteristic_polynomial(**by_name(*arguments), **as_keywords(filters))
+        coefficients = characteristic_polynomial(
+            **by_name(*arguments), longest_delay=longest_delay, **as_keywords(filters)
+        )
         traced = _traced_radius(coefficients, is_summed=filters is not None)
         return _believed(*traced, gamma, delta)
     gains = checked_gain("alpha", alpha), checked_gain("beta", beta)
     parameters = (*gains, checked_gamma(gamma), checked_delta(delta))
-    samples = checked_delay(delay)
+    samples = checked_delay(bounded_delay(delay, longest_delay))
     is_fast, xp = method == "fast" and not filters, namespace(arguments)
     # Many points of one delay stay where JAX has them; other questions are NumPy's.
     shape = np.broadcast_shapes(samples.shape, *map(np.shape, parameters))

@@ -103,9 +103,14 @@ class Ends(NamedTuple):
     at_minus_one_error: Array
 
 
-def decide(chain: Chain, ends: Ends, unit: float, degree: int | Array) -> Array:
-    """Return the codes of monic polynomials of a degree >= 3, computed with a unit roundoff."""
-    chain, gap, ratio, is_clear = _at_the_end(chain, unit, degree)
+def decide(
+    chain: Chain, ends: Ends, unit: float, degree: int | Array, highest: int | None = None
+) -> Array:
+    """Return the codes of monic polynomials of a degree >= 3, computed with a unit roundoff.
+
+    Degrees above 3 may differ from point to point, up to the ``highest``.
+    """
+    chain, gap, ratio, is_clear = _at_the_end(chain, unit, degree, highest)
     is_inside = chain.inside & (abs(ratio) < 1.0) & (gap > 0.0)
     is_outside = False if chain.outside is None else chain.outside
     return _codes(is_inside, is_outside, is_clear, ends)
@@ -141,10 +146,11 @@ def zeros_outside(chain: Chain, ends: Ends, unit: float, degree: int) -> Array:
 
 
 def _at_the_end(
-    chain: Chain, unit: float, degree: int | Array
+    chain: Chain, unit: float, degree: int | Array, highest: int | None = None
 ) -> tuple[Chain, Array, Array, Array]:
     """Return the cubic, u0 - u2 of the quadratic and the last K, and whether their signs count."""
-    # A degree that is an array sets the length of a loop, one compilation serving all above 3.
+    # A degree that is an array sets the length of a loop, one compilation serving all above 3; of
+    # several degrees each point takes its own number of the steps.
     is_cubic = isinstance(degree, int) and degree == 3
     if not is_cubic:
         chain = _step(chain, unit, is_monic=True)
@@ -154,7 +160,17 @@ def _at_the_end(
     else:
         xp, step = namespace(chain), partial(_step, unit=unit, is_rolled=True)
         start = tree_map(lambda value: xp.broadcast_to(value, xp.shape(chain.error)), chain)
-        chain = repeat(degree - 4, step, start)
+        if highest is None:
+            chain = repeat(degree - 4, step, start)
+        else:
+
+            def chosen(state: tuple[Array, Chain]) -> tuple[Array, Chain]:
+                left, before = state
+                after = tree_map(partial(xp.where, left > 0), step(before), before)
+                return left - 1, after
+
+            is_short = highest <= HIGHEST_COUNTED
+            chain = repeat(highest - 4, chosen, (degree - 4, start), is_unrolled=is_short)[1]
     gap, error, ratio = _last_gap(chain, unit, is_monic=is_cubic)
     is_clear = abs(gap) > (SAFETY * (degree - 1)) * error
     return chain, gap, ratio, is_clear & chain.regular & (abs(ratio) != 1.0)

@@ -23,7 +23,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Int8, Int64
 
-from jaxstab.arrays import Array, Numbers, bits, is_any_traced, named, namespace, tree_map
+from jaxstab.arrays import (
+    Array,
+    Numbers,
+    bits,
+    is_any_traced,
+    is_traced,
+    named,
+    namespace,
+    tree_map,
+)
 from jaxstab.batches import MANY, TILE, compiled, lists, over_tiles
 from jaxstab.conventions import Verdict
 from jaxstab.exact import wall_verdict
@@ -41,7 +50,7 @@ from jaxstab.model.double_double import size_sum
 from jaxstab.model.filters import NO_FILTERS, Filter, Filters, Velocity, as_keywords, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.loop import unit_loop
-from jaxstab.model.plant import may_cancel, pairs_error, whole_and_fraction
+from jaxstab.model.plant import bounded_delay, may_cancel, pairs_error, whole_and_fraction
 from jaxstab.numbers import require_together
 from jaxstab.point.poles import looked_up
 from jaxstab.point.schur_cohn import (
@@ -59,22 +68,23 @@ Values = np.ndarray[Any, np.dtype[Any]]
 
 
 class Form(NamedTuple):
-    """The form of p(z)."""
+    """The form of p(z); a whole delay that JAX traces is at most ``longest``."""
 
-    whole_delay: int
+    whole_delay: int | Array
     is_fractional: bool
+    longest: int | None = None
 
     @classmethod
     def from_delay(cls, delay: Numbers | TracedDelay) -> "Form":
         """Return the form for one delay in samples; a fraction that is traced may be any."""
         if isinstance(delay, TracedDelay):
-            return cls(delay.whole, True)
+            return cls(delay.whole, True, delay.longest if is_traced(delay.whole) else None)
         samples = np.asarray(delay, np.float64).item()
         return cls(int(samples), samples % 1.0 > 0.0)
 
     @property
-    def degree(self) -> int:
-        """The degree of p(z) without filters."""
+    def degree(self) -> int | Array:
+        """The degree of p(z) without filters and roots at 0."""
         return self.whole_delay + 3 + self.is_fractional
 
 
@@ -233,16 +243,22 @@ def is_plant_lost(gamma: Array, delta: Array) -> Array:
 
 
 def loop_codes(
-    alpha: Array, beta: Array, gamma: Array, plant: Plant, *, degree: int | Array
+    alpha: Array,
+    beta: Array,
+    gamma: Array,
+    plant: Plant,
+    *,
+    degree: int | Array,
+    highest: int | None = None,
 ) -> Array:
-    """The code of each point."""
+    """The code of each point; see ``decide`` for degrees that differ."""
     chain = _closed_loop(alpha, beta, plant)
     ends = _ends(alpha, beta, gamma, plant, degree)
     # A coefficient of a stable polynomial is at most binomial(n, i). Numbers stay finite so.
     large = size_sum(chain.tail) - chain.error > 8.0 * 2.0**degree
     if not isinstance(degree, int) or degree > HIGHEST_UNROLLED:
         chain = replace(chain, outside=False)  # a short recursion decides without it
-    codes = decide(chain, ends, UNIT, degree)
+    codes = decide(chain, ends, UNIT, degree, highest)
     return namespace(large, codes).where(large, Verdict.UNSTABLE, codes).astype(np.int8)
 
 
@@ -301,6 +317,7 @@ def verdict(
     gamma: Numbers,
     delta: Numbers,
     delay: Numbers,
+    longest_delay: int | float | None = None,
     resolve: str | None = None,
     velocity: Velocity | None = None,
     position: Filter | None = None,
@@ -312,7 +329,8 @@ def verdict(
     least one root outside or on the circle: a root at z = 1, at alpha = -gamma exactly, is one.
 
     Args:
-        alpha, beta, gamma, delta, delay, velocity, position: see ``jaxstab.conventions``.
+        alpha, beta, gamma, delta, delay, longest_delay, velocity, position: see
+            ``jaxstab.conventions``.
         resolve: "exact" repeats the recursion where float64 leaves a point UNDECIDED, in
             double-double and then in balls of up to 3,072 bits, about a millisecond each; all
             arguments must be concrete, as for an array of delays. With an estimator or a filter
@@ -341,17 +359,19 @@ def verdict(
     gains = checked_gain("alpha", alpha), checked_gain("beta", beta)
     point = (*gains, checked_gamma(gamma), checked_delta(delta))
     xp = namespace(point, delay)
+    delay = bounded_delay(delay, longest_delay)
     whole, fraction = whole_and_fraction(delay)
-    if filters and whole.size == 1 and is_any_traced(point, delay, filters):
+    is_one_program = whole.size == 1 or is_traced(whole)
+    if filters and is_one_program and is_any_traced(point, delay, filters):
         form = Form.from_delay(delay)
         late = fraction if form.is_fractional else 0.0
-        loop = filtered_loop(point[2], point[3], form.whole_delay, late, filters)
-        return linear_verdict(point[0], point[1], loop)
-    if not filters and resolve is None and whole.size == 1:
+        own = form.whole_delay, late, filters, form.longest
+        return linear_verdict(point[0], point[1], filtered_loop(point[2], point[3], *own))
+    if not filters and resolve is None and is_one_program:
         arrays, form = [xp.asarray(value, xp.float64) for value in point], Form.from_delay(delay)
         late, is_fractional = xp.asarray(fraction), form.is_fractional
         plant = float_plant(arrays[2], arrays[3], late, is_fractional=is_fractional)
-        codes = _float_codes((*arrays[:3], plant), form.degree)
+        codes = _float_codes((*arrays[:3], plant), form)
         shape = np.broadcast_shapes(whole.shape, *(array.shape for array in arrays))
         return named(xp.array(xp.broadcast_to(codes, shape)), Verdict)
     if is_any_traced(point, delay, filters):
@@ -366,12 +386,15 @@ def verdict(
     return named(xp.asarray(codes), Verdict)
 
 
-def _float_codes(arguments: tuple[Any, ...], degree: int) -> Array:
+def _float_codes(arguments: tuple[Any, ...], form: Form) -> Array:
     """Return the codes of points; unless they are many, XLA compiles once for all long delays."""
     # A loop writes all of its state to memory in each step. Without it a point takes a half to a
     # third of the time at delays of 10 and 20, but each degree compiles for about a second.
     highest_of_many = 26
     highest_untiled = 4  # degree up to which a point's numbers stay in registers
+    degree = form.degree
+    if form.longest is not None:
+        return loop_codes(*arguments, degree=degree, highest=4 + form.longest)
     if degree <= highest_untiled:
         return _untiled_codes(arguments, degree=degree)
     is_short = degree <= HIGHEST_UNROLLED
@@ -406,7 +429,7 @@ def _grouped_verdict(points: Points) -> Int8[np.ndarray, "*grid"]:
         for block, padded in lists(indices, _LIST):
             own = padded if block.size >= MANY else block  # fewer are left to NumPy
             values = tuple(looked_up((*points[:3], plants), points.shape, own))
-            codes.flat[block] = _float_codes(values, form.degree)[: block.size]
+            codes.flat[block] = _float_codes(values, form)[: block.size]
     return codes
 
 
