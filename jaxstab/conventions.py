@@ -11,9 +11,9 @@ included. Where numbers or arrays are accepted, arrays have any shape and broadc
     delta: physical damping b T/m, in [0, 1e3].
     delay: time delay t_d/T in samples, >= 0, whole or fractional; concrete under JAX unless the
         function takes a ``longest_delay``.
-    longest_delay: a concrete number that no delay exceeds, so that JAX may trace the delay: its p(z)
-        has the degree of the longest one, with more roots at 0. Beyond it, traced delays give NaN
-        and UNDECIDED.
+    longest_delay: a concrete number that no delay exceeds, so that JAX may trace the delay: its
+        p(z) has the degree of the longest one, with more roots at 0. Beyond it, traced delays give
+        NaN and UNDECIDED.
     velocity: velocity estimator in units of one sample; None for the difference over one sample.
     position: position filter in units of one sample; None for none.
     stiffness: wall stiffness K in N/m, or in N m/rad for a loop that turns.
@@ -21,7 +21,8 @@ included. Where numbers or arrays are accepted, arrays have any shape and broadc
 
 Errors that such functions raise: ValueError for a concrete argument that is outside its range,
 infinite or NaN; TypeError for one that is not made of numbers, or that JAX traces where it must be
-concrete (a delay without ``longest_delay``); RuntimeError for JAX arrays while JAX's x64 mode is off.
+concrete (a delay without ``longest_delay``); RuntimeError for JAX arrays while JAX's x64 mode is
+off.
 """
 
 from enum import IntEnum
