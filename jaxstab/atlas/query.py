@@ -161,10 +161,18 @@ class Atlas:
         from jaxstab.point import verdict
 
         velocity, position = self.filters or (None, None)
-        named = dict(zip(AXES, point, strict=True))
-        return np.asarray(
-            verdict(**named, velocity=velocity, position=position, resolve="exact"), np.int8
+        alpha, beta, gamma, delta, delay = point
+        codes = verdict(
+            alpha,
+            beta,
+            gamma=gamma,
+            delta=delta,
+            delay=delay,
+            velocity=velocity,
+            position=position,
+            resolve="exact",
         )
+        return np.asarray(codes, np.int8)
 
     def alpha_limits(
         self, beta: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers

@@ -283,7 +283,7 @@ def characteristic_polynomial(
     if isinstance(late, TracedDelay):
         gamma, delta = hand
         loop = filtered_loop(gamma, delta, late.whole, fraction, filters, late.longest)
-        return loop_polynomial(*gains, loop)
+        return loop_polynomial(gains[0], gains[1], loop)
     return _polynomials((*gains, *hand), np.asarray(whole_part + fraction), filters)
 
 

@@ -130,8 +130,12 @@ def closed_loop_poles(
     point = by_name(alpha, beta, gamma, delta, delay)
     shape = require_together(**point)
 
-    own = {"longest_delay": longest_delay, "velocity": velocity, "position": position}
-    polynomial = partial(characteristic_polynomial, **own)
+    polynomial = partial(
+        characteristic_polynomial,
+        longest_delay=longest_delay,
+        velocity=velocity,
+        position=position,
+    )
     if is_any_traced(*point.values(), velocity, position):
         return companion_poles(polynomial(**point))
 
