@@ -283,7 +283,7 @@ def test_a_figure_makes_its_folder_and_files_are_named(folder: Path) -> None:
     figure = run("figure", "4", "-o", "new/folder")
     assert figure.stdout == "new/folder/figure_4.png\n"
     assert (folder / "new/folder/figure_4.png").read_bytes().startswith(b"\x89PNG")
-    assert "give a folder" in run("figure", "4", "-o", "a.png").stderr
+    assert "not the name of a folder" in run("figure", "4", "-o", "a.png").stderr
     answer = run("limits", *OMEGA, "--plot", "a.png", "--json")
     assert json.loads(answer.stdout)
     assert answer.stderr == "jaxstab: wrote a.png\n"

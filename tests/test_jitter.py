@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from functools import cache
 from itertools import product
 from math import inf
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -244,8 +245,8 @@ def test_attacks_notice_a_jitter_that_is_too_small(monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.campaign
-def test_no_proved_wall_grows_and_every_sequence_that_is_found_does() -> None:
-    assert campaign.main(small=True) == 0
+def test_no_proved_wall_grows_and_every_sequence_that_is_found_does(tmp_path: Path) -> None:
+    assert campaign.main(small=True, points=None, folder=tmp_path) == 0
 
 
 def test_the_stiffest_proved_wall_is_proved_and_next_to_one_that_is_not() -> None:
