@@ -51,6 +51,7 @@ def test_points_broadcast_and_the_answer_has_their_shape(atlas: Atlas) -> None:
     np.testing.assert_array_equal(answer.verdict, each)
     assert isinstance(atlas.query(0.05, 0.3, **PLANT).verdict, Verdict)
     assert atlas.query([], 0.3, **PLANT).verdict.shape == (0,)
+    assert atlas.query(0.1, 0.3, **PLANT | {"delay": []}).verdict.shape == (0,)
 
 
 def test_points_on_the_limits_are_computed(atlas: Atlas) -> None:

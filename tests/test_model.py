@@ -298,7 +298,7 @@ class TestPlantCoefficients:
         np.testing.assert_array_equal([part[1] for part in again], alone)
 
     def test_refuses_a_traced_delay(self) -> None:
-        with pytest.raises(TypeError, match="concrete"):
+        with pytest.raises(TypeError, match="delay is traced"):
             jax.jit(
                 lambda delay: jaxstab.paper.plant_coefficients(gamma=0.0, delta=0.0, delay=delay)
             )(1.0)

@@ -32,6 +32,8 @@ class Axis:
         first: (cell,), the first of ``width`` neighbouring nodes that count in each cell.
     """
 
+    # Between nodes that are too close for float64, weights are NaN, and points are computed.
+    @np.errstate(over="ignore", divide="ignore")
     def __init__(self, nodes: Array, *, bends_at_integers: bool = False) -> None:
         self.nodes = nodes
         last = nodes.size - 1
@@ -60,6 +62,7 @@ class Axis:
         """The cells of values; of a value at a node, the cell above it."""
         return np.searchsorted(self.nodes[1:-1], values, "right")
 
+    @np.errstate(invalid="ignore")
     def weights(self, cell: Cells, values: Array) -> Array:
         """What the nodes from ``first`` on count at values in cells: (width, value)."""
         aside = [values - place.take(cell) for place in self._place]
@@ -70,6 +73,7 @@ class Axis:
                 weight *= other
         return weights
 
+    @np.errstate(invalid="ignore")
     def interpolated(self, nodal: NDArray[Any], cell: Cells, values: Array, along: int) -> Array:
         """Values between nodes, of an array with values at the nodes along one of its axes."""
         nodal = np.moveaxis(nodal, along, 0)

@@ -175,7 +175,7 @@ class LimitTable:
         for axis, own, values in zip(axes, cells, plant, strict=True):
             is_inside = is_inside & (values >= axis.nodes[0]) & (values <= axis.nodes[-1])
             weights = weights[:, None] * axis.weights(own, values)
-            weights = weights.reshape(-1, weights.shape[-1])
+            weights = weights.reshape(near.size * axis.width, weights.shape[-1])
             near = (near[:, None] * axis.nodes.size + np.arange(axis.width)).reshape(-1)
         nodal = self._nodal.reshape(-1, self._nodal.shape[-1])
         rows = np.empty((first.size, nodal.shape[-1]))
