@@ -16,7 +16,7 @@ import sys
 import tomllib
 from collections.abc import Iterator
 from functools import cache
-from math import erf, sqrt
+from math import ceil, erf, sqrt
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +25,7 @@ from benchmarks import measured, record, table
 from benchmarks.rivals import MISSED, SHARES
 from docs.pushed import Pushed
 from docs.reproduced.claims import CLAIMS
-from jaxstab import HandRange, HapticLoop, Velocity
+from jaxstab import AtlasSpec, HandRange, HapticLoop, Velocity
 from jaxstab.atlas.file import SCHEMA_VERSION
 from jaxstab.atlas.table import CLEAR
 from jaxstab.boxes.search import PULLS
@@ -138,9 +138,14 @@ def facts() -> dict[str, list[str]]:
             f"| `jaxstab atlas`, {SCHEMA_VERSION} |",
             _clear("`beta_error`"),
             _clear("`alpha_error`"),
+            f"of {_resolution_walls()}",
+            _worst_ratio("the error of its cell"),
         ],
         "docs/accuracy.md": [
             _clear("the measured error"),
+            _default_nodes(),
+            _resolution_walls(),
+            _worst_ratio("that error"),
             *_rivals(),
             *_polynomials(),
             *_regions(),
@@ -272,6 +277,22 @@ def _for_all_hands() -> int:
     """The stiffness for all hands of the guide's scene."""
     hands = HandRange(mass=(0.0, 0.5), stiffness=(0.0, 300.0), damping=(0.0, 5.0))
     return int(_ON_WINDOW.robust_limit(hands).stiffness)
+
+
+def _default_nodes() -> str:
+    spec = AtlasSpec()
+    counts = spec.rows, *(len(nodes) for nodes in spec.nodes)
+    return f"by default with {' x '.join(map(str, counts))} nodes"
+
+
+def _resolution_walls() -> str:
+    return f"{_rows('resolution')[0]['points']:,} random walls"
+
+
+def _worst_ratio(error: str) -> str:
+    """How far a limit was wrong at most, rounded up, of the errors that a cubic's cells state."""
+    worst = max(row["ratio"] for row in _rows("resolution") if row["method"] == "cubic")
+    return f"{ceil(10.0 * worst) / 10.0:g} times {error}"
 
 
 def _clear(error: str) -> str:
