@@ -277,8 +277,8 @@ def spectral_radius(
     """The largest modulus of a closed-loop pole with a proved error bound.
 
     Args:
-        alpha, beta, gamma, delta, delay, longest_delay, velocity, position: see
-            ``jaxstab.conventions``.
+        alpha, beta, gamma, delta, delay, longest_delay: see ``jaxstab.conventions``.
+        velocity, position: see ``jaxstab.conventions``.
         method: "fast" finds and proves the dominant root, without eigenvalues for many points of
             one delay up to 64, by XLA; "companion" takes the companion matrix and a ladder of
             verdicts for all. Inside jit, vmap and grad, and with filters, it is always the

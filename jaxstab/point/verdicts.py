@@ -329,8 +329,8 @@ def verdict(
     least one root outside or on the circle: a root at z = 1, at alpha = -gamma exactly, is one.
 
     Args:
-        alpha, beta, gamma, delta, delay, longest_delay, velocity, position: see
-            ``jaxstab.conventions``.
+        alpha, beta, gamma, delta, delay, longest_delay: see ``jaxstab.conventions``.
+        velocity, position: see ``jaxstab.conventions``.
         resolve: "exact" repeats the recursion where float64 leaves a point UNDECIDED, in
             double-double and then in balls of up to 3,072 bits, about a millisecond each; all
             arguments must be concrete, as for an array of delays. With an estimator or a filter
