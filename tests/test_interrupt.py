@@ -28,7 +28,7 @@ sample_time = 0.001
 push = 1.0
 """
 LONG = "delay = [0.0, 0.5, 1.0]\nrows = 65\n" + "".join(
-    f"{name} = {np.linspace(0.0, most, 25).tolist()}\n"
+    f"{name} = {np.linspace(0.0, most, 65).tolist()}\n"
     for name, most in {"gamma": 1e-3, "delta": 0.015}.items()
 )
 STUDY = ("study", "scene.toml", "--over", "device.mass=uniform:0.1:0.5", "--samples", "200000")

@@ -162,10 +162,12 @@ def _best(
         "for_all_hands": worst.for_all if worst and over_hands else None,
         "for_all_delays": worst.verdict if worst and over_delays else None,
     }
+    of_k, edge = loop.gains[0], loop.limits()
+    largest = StableWalls(loop, 1.0).limit(of_k, edge.stiffness, edge.at_damping)  # as printed
     values = {
         **_tuned(loop, gains, encoder),
         "rounded": GainAnswer(_tuned(loop, rounded, encoder)),
-        "share_of_largest": best.stiffness / loops.wall_region(loop).reachable.stiffest.stiffness,
+        "share_of_largest": best.stiffness / largest.values["largest_stiffness"],
         "status": best.status,
         **verdicts,
     }
