@@ -11,7 +11,7 @@ from campaign import many
 from flint import arb, arb_poly, fmpq
 
 from jaxstab.conventions import Verdict
-from jaxstab.exact.roots import Axis, _clearance, stable_over
+from jaxstab.exact.ranges import Range, _clearance, stable_over
 from jaxstab.model.balls import Factored
 
 
@@ -30,8 +30,8 @@ class Family:
 
     def verdict(self) -> Verdict:
         degrees = [size - 1 for size in self.parts.shape[:2]]
-        first = Axis(*self.ends[0], degrees[0], lambda a: 1 / (1 + a))
-        return stable_over(self.balls, first, Axis(*self.ends[1], degrees[1]))
+        first = Range(*self.ends[0], degrees[0], lambda a: 1 / (1 + a))
+        return stable_over(self.balls, first, Range(*self.ends[1], degrees[1]))
 
     def balls(self, *pair: float) -> Factored:
         a, b = (fmpq(*Fraction(value).as_integer_ratio()) for value in pair)
@@ -93,7 +93,7 @@ def test_the_corner_of_a_triangle_is_met(side: float) -> None:
     def p(a: float, b: float) -> Factored:
         return Factored(arb_poly([b, a, 1]))
 
-    verdict = stable_over(p, Axis(0.25, 1.5 * side), Axis(0.5, 0.75))
+    verdict = stable_over(p, Range(0.25, 1.5 * side), Range(0.5, 0.75))
     assert verdict == (Verdict.STABLE if side < 1.0 else Verdict.UNSTABLE)
 
 
@@ -106,7 +106,7 @@ def test_a_root_outside_of_all_corners_and_nodes_is_found(is_first: bool, most: 
         t = fmpq(*Fraction(pair[0] if is_first else pair[1]).as_integer_ratio()) - 1
         return Factored(arb_poly([arb(0.75), arb(fmpq(most, 1000) * 4 * t * (1 - t)), arb(1)]))
 
-    axes = (Axis(1.0, 1.9, 2), Axis(1.0, 1.0))[:: 1 if is_first else -1]
+    axes = (Range(1.0, 1.9, 2), Range(1.0, 1.0))[:: 1 if is_first else -1]
     assert stable_over(p, *axes) == (Verdict.STABLE if most < 1750 else Verdict.UNSTABLE)
 
 
@@ -116,7 +116,7 @@ def test_a_range_as_narrow_as_rounding_is_proved() -> None:
     def p(a: float, b: float) -> Factored:
         return Factored(arb_poly([b, a, 1]))
 
-    a, b = Axis(1.0, float(np.nextafter(1.0, 2.0)), 3), Axis(0.5, 0.5)
+    a, b = Range(1.0, float(np.nextafter(1.0, 2.0)), 3), Range(0.5, 0.5)
     assert stable_over(p, a, b) == Verdict.STABLE
 
 
@@ -127,7 +127,7 @@ def test_a_loop_beyond_a_range_as_narrow_as_rounding_says_nothing(is_first: bool
     def p(*pair: float) -> Factored:
         return Factored(arb_poly([5e-7, pair[0 if is_first else 1], 1]))
 
-    axes = (Axis(1.0, float(np.nextafter(1.0, 2.0)), 3), Axis(0.5, 0.5))[:: 1 if is_first else -1]
+    axes = (Range(1.0, float(np.nextafter(1.0, 2.0)), 3), Range(0.5, 0.5))[:: 1 if is_first else -1]
     assert stable_over(p, *axes) == Verdict.UNDECIDED
 
 
@@ -138,4 +138,4 @@ def test_a_polynomial_that_takes_too_long_is_left_open(degree: int, expected: Ve
     def p(a: float, _: float) -> Factored:
         return Factored(arb_poly([arb(a) / 10, *[0] * (degree - 1), 1]))
 
-    assert stable_over(p, Axis(0.5, 1.0, 2), Axis(1.0, 1.0)) == expected
+    assert stable_over(p, Range(0.5, 1.0, 2), Range(1.0, 1.0)) == expected

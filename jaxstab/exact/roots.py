@@ -1,4 +1,4 @@
-"""E1, E6, E2. The roots of p(z): how many are outside, for a range of loops too, and where.
+"""E1 and E2. The roots of p(z): how many are outside the unit circle, and where they are.
 
 E1. The number of roots of p(z) outside the unit circle. The criterion of Schur (1917) and Cohn
 (1922). Let p = a_n z^n + ... + a_0 be real and p* the same coefficients backwards; on the circle
@@ -25,21 +25,6 @@ Where the structure says that a root lies at z = 1 or -1 exactly (a free device 
 the loop is not stable: that is no question for balls. A damper without a spring leaves such a root
 at 1, the position may stay anywhere; whether all others are inside is asked with ``may_drift``.
 
-E6. The verdict on a loop for all values of two numbers in which p(z) is a polynomial. For p of
-degree d with the leading coefficient a and the roots z_1, ..., z_d let
-
-    c = a^(d+1) (product of 1 - z_i^2 over i, and of 1 - z_i z_l over i < l).
-
-It is 0 where a root is on the circle, and symmetric in the roots, so a polynomial of degree d + 1
-in the coefficients of p. By the k of E1, one a degree j,
-
-    c = a^(d+1) (product of (1 - k^2)^((j+1)//2), and of 1 + k for even j),
-
-positive while all roots are inside and a > 0. It is evaluated at as many nodes as its degree asks
-for, and interpolated. Where all coefficients of a polynomial in the basis of Bernstein are
-positive, it is positive on the whole rectangle; else the rectangle is halved. A corner where it is
-negative, or a node with a root outside, is a loop that is not stable.
-
 E2. The poles of a wall, each in a ball of its own, and their largest modulus. python-flint isolates
 the roots of a polynomial without multiple roots: approximations by iteration, around each of them a
 disc in which Rouché's theorem finds one root (``acb_poly.roots``), and n disjoint discs hold all n
@@ -55,9 +40,8 @@ The radius is enclosed by halving, between 0 and Cauchy's bound 1 + max |a_k/a_n
 
 from collections.abc import Callable
 from functools import partial
-from itertools import product
-from math import inf, nextafter, prod
-from typing import TYPE_CHECKING, Any, NamedTuple
+from math import inf, nextafter
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Complex128
@@ -65,11 +49,11 @@ from jaxtyping import Complex128
 from jaxstab.conventions import Status, Verdict
 from jaxstab.model.affine import AffineParts, affine_triple
 from jaxstab.model.balls import Factored, Triple
-from jaxstab.model.device.parts import FIRST_BITS, decided, exact, flint, tiny, working_precision
+from jaxstab.model.device.parts import FIRST_BITS, decided, flint, tiny, working_precision
 from jaxstab.model.filters import has_roots_inside, reflections
 
 if TYPE_CHECKING:
-    from flint import acb, arb, arb_mat, arb_poly, fmpq_poly
+    from flint import acb, arb, arb_poly, fmpq_poly
 
 
 _MOST_BITS = FIRST_BITS << 3  # bits: balls that still overlap hold multiple roots, in practice
@@ -175,128 +159,6 @@ def _counted(rising: "list[arb]", most: int | None) -> int | None:
         if most is not None and count > most:
             return count
     return count
-
-
-# --------------------------------------------------------------------------------------- rectangles
-_MOST_PIECES = 1000  # of the rectangle
-_MOST_WORK = 4_000_000  # products of balls: seconds
-
-
-class Axis(NamedTuple):
-    """Values from ``low`` > 0 to ``high``; p(z) is a polynomial in a ``coordinate`` of them."""
-
-    low: float
-    high: float
-    degree: int = 1
-    coordinate: Callable[[Any], Any] = lambda value: value
-
-    def nodes(self, degree: int) -> list[float]:
-        """As many values as a polynomial of some degree in each coefficient of p(z) needs."""
-        if self.low == self.high:
-            return [self.low]
-        high = max(self.high, self._apart)
-        return np.geomspace(self.low, high, self.degree * degree + 1).tolist()
-
-    @property
-    def is_narrow(self) -> bool:
-        """True if nodes need a wider range, in which a loop that is not stable says nothing."""
-        return self.low < self.high < self._apart
-
-    @property
-    def _apart(self) -> float:
-        return self.low * (1.0 + 1e-6)
-
-    def to_bernstein(self, nodes: list[float]) -> "arb_mat":
-        """From values at nodes to coefficients on the axis."""
-        first, *_, last = places = [self.coordinate(exact(node)) for node in (*nodes, nodes[-1])]
-        spread = last - first or 1
-        sides = [flint.arb_poly([(last - t) / spread, (t - first) / spread]) for t in places[:-1]]
-        return flint.arb_mat([_coefficients(side, len(nodes)) for side in sides]).inv()
-
-
-def _coefficients(side: "arb_poly", count: int, power: int | None = None) -> "list[arb]":
-    """The values of the basis of Bernstein: those of (1 - t + t y)^n for all powers of y."""
-    own = side ** (count - 1 if power is None else power)
-    return [own[j] for j in range(count)]
-
-
-def stable_over(p: Callable[[float, float], Factored], first: Axis, second: Axis) -> Verdict:
-    """The verdict on all pairs of two values; UNDECIDED where it takes too long, too.
-
-    Example:
-        >>> from flint import arb_poly
-        >>> from jaxstab.exact.roots import Axis, stable_over
-        >>> from jaxstab.model.balls import Factored
-        >>> def p(a: float, b: float) -> Factored:  # inside of |a| < 1 + b, b < 1
-        ...     return Factored(arb_poly([b, a, 1]))
-        >>> [stable_over(p, Axis(0.5, a), Axis(0.25, 0.75)).name for a in (1.24, 1.26)]
-        ['STABLE', 'UNSTABLE']
-    """
-
-    def judged() -> Verdict | None:
-        degree, values = p(first.low, second.low).degree, list[Any]()
-        nodes = first.nodes(degree + 1), second.nodes(degree + 1)
-        counts = len(nodes[0]), len(nodes[1])
-        if sum(n**3 for n in counts) + 4 * prod(counts) * degree**2 > _MOST_WORK:
-            return Verdict.UNDECIDED
-        for pair in product(*nodes):
-            value = _clearance(p(*pair))
-            if value is None or isinstance(value, Verdict):
-                return value
-            values.append(value)
-        try:
-            left, right = first.to_bernstein(nodes[0]), second.to_bernstein(nodes[1])
-        except ZeroDivisionError:  # these bits do not tell the nodes apart
-            return None
-        return _sign(left * flint.arb_mat(*counts, values) * right.transpose())
-
-    code = decided(judged, most=_MOST_BITS)
-    is_wider = first.is_narrow or second.is_narrow
-    if code is None or (is_wider and code == Verdict.UNSTABLE):
-        return Verdict.UNDECIDED
-    return code
-
-
-def _clearance(p: Factored) -> "arb | Verdict | None":
-    """c, or UNSTABLE if a root is outside; None where the balls do not tell."""
-    rising = p.polynomial().coeffs()
-    clear = rising[-1] ** len(rising)
-    if sign_of(rising[-1]) != 1:
-        return None
-    for j, k in zip(range(len(rising) - 1, 0, -1), reflections(rising), strict=True):
-        if not abs(k) < 1:
-            return Verdict.UNSTABLE if abs(k) > 1 else None
-        clear *= (1 - k * k) ** ((j + 1) // 2) * (1 if j % 2 else 1 + k)
-    return clear
-
-
-def _sign(coefficients: "arb_mat") -> Verdict | None:
-    """The verdict by Bernstein coefficients of c on a rectangle; None where balls do not tell."""
-    pieces = [(coefficients, 0)]
-    halving = [_halves(n) for n in (coefficients.nrows(), coefficients.ncols())]
-    for _ in range(_MOST_PIECES):
-        if not pieces:
-            return Verdict.STABLE
-        piece, axis = pieces.pop()
-        if all(c > 0 for c in piece.entries()):
-            continue
-        rows, columns = piece.nrows() - 1, piece.ncols() - 1
-        corners = {sign_of(piece[i, j]) for i in {0, rows} for j in {0, columns}}
-        if -1 in corners:
-            return Verdict.UNSTABLE
-        if 0 in corners:
-            return None
-        axis = axis if (rows, columns)[axis] else 1 - axis
-        halves = [half * piece if axis == 0 else piece * half.transpose() for half in halving[axis]]
-        pieces += [(half, 1 - axis) for half in halves]
-    return Verdict.UNDECIDED
-
-
-def _halves(count: int) -> "list[arb_mat]":
-    """From the coefficients on an interval to those on its two halves."""
-    middle = flint.arb_poly([0.5, 0.5])
-    lower = [_coefficients(middle, count, power) for power in range(count)]
-    return [flint.arb_mat(lower), flint.arb_mat([row[::-1] for row in lower[::-1]])]
 
 
 # -------------------------------------------------------------------------------------------- poles

@@ -7,7 +7,7 @@ greatest, and of all gains between two:
 
 - p(z) is a polynomial in 1/J: of degree 1 without damping and spring, where it depends on kp/J and
   kd/J alone; of degree n in n steps of an engine, and of 4 n with Runge and Kutta's rule. Where
-  damping c is implicit, it is one in 1/(J + h c). That is lemma E6 (``exact.roots``).
+  damping c is implicit, it is one in 1/(J + h c). That is lemma E6 (``exact.ranges``).
 - Else a held joint has boxes, as hands of a range have (lemma B20); so has a delay that varies.
 
 The least inertia is searched as other values of one quantity are (``loop.backwards``).
@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 from jaxstab.boxes.search import HandRange
 from jaxstab.conventions import Verdict
 from jaxstab.exact import wall_verdict
-from jaxstab.exact.roots import Axis, stable_over
+from jaxstab.exact.ranges import Range, stable_over
 from jaxstab.loop.affine import Loop, simulated_pd
 from jaxstab.loop.backwards import Scan, stable_values
 from jaxstab.loop.hands import LoopsWithHands
@@ -116,7 +116,7 @@ class JointLoop:
         """The verdict for every inertia, ``until`` other gains: proved, if not UNDECIDED."""
         if until is None and Verdict.UNSTABLE in map(self.verdict_at, self._inertias):
             return Verdict.UNSTABLE
-        axis, upper = self._axis, until or self.gains
+        axis, upper = self._range, until or self.gains
         if axis:
             changed = int(self.gains[0] == upper[0])
 
@@ -125,7 +125,7 @@ class JointLoop:
                 own = self.loop(inertia)._triple().at(*pair)
                 return own._replace(at_one=own.at_one - self.drifts)
 
-            return stable_over(p, Axis(self.gains[changed], upper[changed]), axis)
+            return stable_over(p, Range(self.gains[changed], upper[changed]), axis)
         if self.drifts:
             return Verdict.UNDECIDED
         springs, (_, delay, jitter, *_) = (self.joint.spring,) * 2, self.control
@@ -162,7 +162,7 @@ class JointLoop:
 
     def _proved(self, index: int, factor: float) -> float:
         """Nearly this growth of one gain, if it is proved for every inertia; else NaN."""
-        share = 1.0 - 2.0**-20 if self._axis else 0.99
+        share = 1.0 - 2.0**-20 if self._range else 0.99
         grown, upper = 1.0 + share * (factor - 1.0), [*self.gains]
         upper[index] *= grown
         is_proved = isfinite(grown) and self.verdict((upper[0], upper[1])) == Verdict.STABLE
@@ -183,7 +183,7 @@ class JointLoop:
         return self.joint.least, self.joint.greatest
 
     @property
-    def _axis(self) -> Axis | None:
+    def _range(self) -> Range | None:
         """The inertias, if p(z) is a polynomial in 1/J, or in 1/(J + h c)."""
         joint, control = self.joint, self.control
         is_free = not (joint.damping or joint.spring)
@@ -193,4 +193,4 @@ class JointLoop:
         is_implicit = control.rule.startswith("implicit")
         added = exact(control.step) * exact(joint.damping) * is_implicit
         degree = steps * (4 if control.rule == "rk4" and not is_free else 1)
-        return Axis(*self._inertias, degree, lambda inertia: 1 / (inertia + added))
+        return Range(*self._inertias, degree, lambda inertia: 1 / (inertia + added))

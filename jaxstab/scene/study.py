@@ -653,7 +653,7 @@ class _Source:
         (first, second), limits = self.gains, dict[str, t.Variable]()
         for own, other in ((first, second), (second, first)):
             name = f"{own.sense} {own.name}"
-            limits[name.replace(" ", "_")] = t.Variable(f"{name}, the edge of stable gains", own.unit)
+            limits[name.replace(" ", "_")] = t.Variable(f"{name}, at the edge", own.unit)
             limits[f"at_{other.name}"] = t.Variable(f"{other.name} at the {name}", other.unit)
         limits["limits_status"] = t.Variable("what is known of the limits", "1", RegionStatus)
         every = {"verdict": ANSWERS["verdict"], "limits": limits, **ANSWERS}
