@@ -8,7 +8,7 @@ loop is written differently from a Python loop.
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import field, fields, is_dataclass
+from dataclasses import MISSING, field, fields, is_dataclass
 from enum import IntEnum
 from functools import cache
 from typing import Any, TypeAlias, TypeVar
@@ -131,7 +131,7 @@ def tree_map(function: Callable[..., Any], tree: Tree, *others: Tree) -> Tree:
         columns = ([getattr(each, name) for each in (tree, *others)] for name in names)
         result = kind(*(tree_map(function, *column) for column in columns))
     else:
-        result = None if tree is None else function(tree, *others)
+        result = tree if tree is None or isinstance(tree, str) else function(tree, *others)
     return result
 
 
@@ -157,9 +157,9 @@ def pytree(cls: Class) -> Class:
     return cls
 
 
-def fixed() -> Any:
+def fixed(default: Any = MISSING) -> Any:
     """Return a field of a pytree that is not an array."""
-    return field(metadata={"static": True})
+    return field(default=default, metadata={"static": True})
 
 
 def _register_once() -> None:

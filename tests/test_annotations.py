@@ -12,7 +12,7 @@ from annotations import CHECKED, begin, watch, watch_function
 from beartype import beartype
 from jaxtyping import Float64, Int64, TypeCheckError, jaxtyped
 
-from jaxstab.loop import WallRegion
+from jaxstab.loop import Region
 from jaxstab.region.curve import curve_gains
 
 Decorator = Callable[[Any], Any]
@@ -155,9 +155,9 @@ def test_the_first_calls_of_each_test_are_checked() -> None:
 
 def test_jaxstab_is_checked() -> None:
     with pytest.raises(TypeCheckError):
-        WallRegion("no loop", None)
+        Region("no loop", None)
     with pytest.raises(TypeCheckError):
-        WallRegion.in_si_units(None, np.ones((2, 3)))
+        Region.in_si_units(None, np.ones((2, 3)))
     assert not hasattr(curve_gains, "__wrapped__")
     with pytest.raises(TypeCheckError):
         curve_gains(1, 2, 3)

@@ -81,7 +81,7 @@ def loops(rng: np.random.Generator) -> list[HapticLoop]:
     ]
 
 
-def is_wrong(many: jaxstab.results.ManyLimits, index: int, one: jaxstab.results.WallLimits) -> bool:
+def is_wrong(many: jaxstab.results.Limits, index: int, one: jaxstab.results.Limits) -> bool:
     """True if a loop's limits are not those that it has by itself."""
     pairs = (many.stiffness[index], one.stiffness), (many.damping[index], one.damping)
     same = all(np.isclose(*pair, rtol=1e-9, atol=0.0, equal_nan=True) for pair in pairs)
@@ -98,12 +98,12 @@ def regions() -> tuple[list[HapticLoop], jaxstab.results.ManyRegions]:
 @pytest.fixture(scope="module")
 def batch(
     regions: tuple[list[HapticLoop], jaxstab.results.ManyRegions],
-) -> tuple[list[HapticLoop], jaxstab.results.ManyLimits]:
+) -> tuple[list[HapticLoop], jaxstab.results.Limits]:
     return regions[0], regions[1].limits
 
 
 def test_walls_just_inside_are_stable_and_just_outside_are_not(
-    batch: tuple[list[HapticLoop], jaxstab.results.ManyLimits],
+    batch: tuple[list[HapticLoop], jaxstab.results.Limits],
 ) -> None:
     many, limits = batch
     assert np.all(limits.status == RegionStatus.COMPLETE)
@@ -120,7 +120,7 @@ def test_walls_just_inside_are_stable_and_just_outside_are_not(
 
 
 def test_limits_are_those_of_single_loops(
-    batch: tuple[list[HapticLoop], jaxstab.results.ManyLimits],
+    batch: tuple[list[HapticLoop], jaxstab.results.Limits],
 ) -> None:
     many, limits = batch
     assert np.mean(limits.is_single) < 0.05
@@ -128,7 +128,7 @@ def test_limits_are_those_of_single_loops(
 
 
 def test_a_limit_on_the_axis_is_there_to_the_last_digit(
-    batch: tuple[list[HapticLoop], jaxstab.results.ManyLimits],
+    batch: tuple[list[HapticLoop], jaxstab.results.Limits],
 ) -> None:
     """For a free mass p(1) is K times a positive factor: every wall with K < 0 is unstable."""
     many, limits = batch
@@ -169,7 +169,7 @@ def test_the_area_of_an_undamped_free_mass_is_the_known_one() -> None:
 
 
 def test_an_undamped_free_mass_has_the_known_limits(
-    batch: tuple[list[HapticLoop], jaxstab.results.ManyLimits],
+    batch: tuple[list[HapticLoop], jaxstab.results.Limits],
 ) -> None:
     known = (6.0 - 4.0 * np.sqrt(2.0)) * np.array(MASSES) / PERIOD**2
     assert batch[1].stiffness[-len(MASSES) :] == pytest.approx(known, rel=1e-9)

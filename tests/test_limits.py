@@ -98,7 +98,7 @@ def test_one_gain_is_answered_without_a_region(
     """Each end is where the radius of mpmath passes 1, and no region is asked for."""
     loops = [held(rng, 1) for _ in range(6)]
     tops = [loop.limits().damping for loop in loops]
-    monkeypatch.setattr("jaxstab.loop.loop.wall_region", None)
+    monkeypatch.setattr("jaxstab.loop.loop.region_of_loop", None)
     for loop, top in zip(loops, tops, strict=True):
         wall = [0.0, float(rng.uniform(0.05, 0.9)) * top]
         for axis, limits in ((0, loop.stiffness_limits), (1, loop.damping_limits)):
@@ -211,7 +211,7 @@ def test_without_walls_of_positive_gains_there_are_no_limits() -> None:
     loop = loop_of(np.pi**2 / 4, 0.0, 0.0)
     limits = loop.limits()
     assert np.isnan(limits[:4]).all()
-    assert repr(limits).endswith("no wall with K >= 0 and B >= 0 is stable")
+    assert repr(limits).endswith("no gains with K >= 0 and B >= 0 are stable")
     assert float(loop.region().region.max_alpha[0]) <= 1e-12
 
 

@@ -507,7 +507,7 @@ def test_what_is_of_another_kind_is_refused_by_its_name(tmp_path: Path) -> None:
             "units is ('N',); give two, such as",
             "units is None; give two, such as",
             "force is None; give real numbers.",
-            "device is WallRegion",
+            "device is Region",
             "loops is HapticLoop(",
             "delay is 'x'; give real numbers.",
             "damping is 'x'; give real numbers.",

@@ -30,7 +30,8 @@ from random_scenes import (
 
 import jaxstab
 from jaxstab import Verdict
-from jaxstab.loop import affine
+from jaxstab.exact.boundary import ScaledLoop
+from jaxstab.loop import Loop, Region, affine
 from jaxstab.region.curve import curve_of
 from jaxstab.region.measures import empty_outline
 from jaxstab.region.stable_set import region_within
@@ -185,9 +186,12 @@ def test_a_region_that_is_not_resolved_leaves_the_intervals_of_each_gain(
     tables = pid({"kp": 0.0, "rule": "forward"}, of=WINDOW, at_kd=kd)
     if not is_resolved:
         nothing = empty_outline(resolved=False)
-        monkeypatch.setattr(
-            affine, "region_of", lambda loop, _: region_within(curve_of(loop), nothing)
-        )
+
+        def given_up(loop: Loop, _: float) -> Region:
+            source = ScaledLoop(loop._chart, loop._scale)
+            return Region(loop, region_within(curve_of(source), nothing))
+
+        monkeypatch.setattr(affine, "region_of_loop", given_up)
     answer = answered(tables)
     assert ("was not resolved" in str(answer)) is not is_resolved
     assert answer.all_stable is is_resolved

@@ -94,6 +94,10 @@ class End(NamedTuple):
         """The value; 0 where it is not told from that."""
         return 0.0 if abs(self.value) <= self.error else self.value + 0.0
 
+    def moved(self, way: float) -> float:
+        """The value moved by its error one way; 0 where it is not told from that."""
+        return 0.0 if abs(self.value) <= self.error else self.value + way * self.error
+
 
 class Interval(NamedTuple):
     """All t between two ends are stable."""
@@ -130,6 +134,11 @@ class StableLine(NamedTuple):
         ]
         head = f"StableLine: {self.status.words}{', but for the drift' if self.drift else ''}"
         return "\n  ".join([head, *(intervals or ["none"])])
+
+    @property
+    def inner(self) -> list[tuple[float, float]]:
+        """The ends of the intervals, within their errors."""
+        return [(low.moved(1.0), high.moved(-1.0)) for low, high in self.intervals]
 
     def holding(self, t: float) -> Interval | None:
         """The interval that holds a number, if one does for certain."""

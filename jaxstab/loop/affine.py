@@ -1,11 +1,6 @@
 """Any sampled loop that is affine in two gains, its answers named by the gains, and its doors.
 
-What it shares with walls stands in ``loop.gains``. Regions are searched where p(z) is monic: the
-set of stable polynomials of one degree with the leading coefficient 1 is bounded, and so is what
-two gains can reach of it. Where the gains move the leading coefficient, other coordinates do not
-(``model.affine``): an admittance has its region in the coordinates 1/M and D/M. Its least mass and
-damping are looked up in that outline, to its tolerance; where the row of gains through such a point
-has a proved end, that is taken.
+What it shares with walls stands in ``loop.gains``, what regions are in ``loop.region``.
 
 Coefficients that are exact numbers have one more proof: where some roots have the product 1 for
 all gains, as without damping, no precision of balls decides, and fractions do.
@@ -13,25 +8,21 @@ all gains, as without damping, no precision of balls decides, and fractions do.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from decimal import ROUND_CEILING, ROUND_FLOOR
 from fractions import Fraction
 from functools import cached_property, partial, wraps
 from inspect import signature
-from math import inf, isfinite, isnan
-from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec, overload
+from math import inf
+from typing import TYPE_CHECKING, Any, ParamSpec
 
 import numpy as np
-from jaxtyping import Float64, Int8
+from jaxtyping import Float64
 
-from jaxstab.arrays import Array, Numbers, float_arrays, is_jax, named, namespace, repeat_and_keep
+from jaxstab.arrays import Array, Numbers, float_arrays, namespace, repeat_and_keep
 from jaxstab.conventions import HORIZON, Range, Verdict
-from jaxstab.exact.boundary import ScaledLoop
-from jaxstab.exact.line import LineStatus, StableLine
 from jaxstab.exact.response import motion_settled_after
-from jaxstab.exact.roots import affine_verdict
-from jaxstab.loop.gains import Gain, TwoGains
-from jaxstab.loop.margins import GainMargins, margins_of_gains, stable_pairs
-from jaxstab.loop.region import TOLERANCE, GainRegion, Gains, names_of, printed_limit
+from jaxstab.loop.gains import TwoGains
+from jaxstab.loop.margins import stable_pairs
+from jaxstab.loop.region import TOLERANCE, Gains, Limits, Region, Tuned, region_of_loop
 from jaxstab.model import LoopParameters
 from jaxstab.model.affine import (
     RULES,
@@ -46,10 +37,11 @@ from jaxstab.model.affine import (
     affine_triple,
     chart_of,
 )
-from jaxstab.model.balls import Factored, Triple, rounded_triple
+from jaxstab.model.balls import rounded_triple
 from jaxstab.model.device.device import Device, in_steps
 from jaxstab.model.device.parts import working_precision
 from jaxstab.model.filters import Filter, Velocity, filter_on
+from jaxstab.model.gain import Gain
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.model.plant import LONGEST_DELAY, checked_gain, wall_grid
 from jaxstab.motion.bounds import SettlingTime, checked_level, settled_answer
@@ -61,10 +53,7 @@ from jaxstab.numbers import (
     require_kind,
     require_together,
 )
-from jaxstab.region.pieces import NO_BRANCH
-from jaxstab.region.region import region_of
-from jaxstab.region.stable_set import RegionStatus
-from jaxstab.shown import exact_text, number_text, shortened, text_with_bound
+from jaxstab.shown import shortened
 from jaxstab.tuning import TuningStatus, Walls, family_of_loop, smallest_radius
 
 if TYPE_CHECKING:
@@ -72,77 +61,6 @@ if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop
 
 Given = ParamSpec("Given")
-
-
-class GainLimit(NamedTuple):
-    """The largest or least stable value of a gain, and the other gain there; NaN if none is stable.
-
-    Infinite where there is no limit.
-
-    Example:
-        >>> round(jaxstab.simulated_pd(0.1, step=2e-3).limits().second.value, 6)
-        100.0
-    """
-
-    gain: Gain
-    value: float
-    at: float
-
-
-class GainLimits(NamedTuple):
-    """The limits of both gains; stable gains come as close to them as one likes.
-
-    A pair is printed with digits with which it is stable, next to a corner a little inside of it.
-
-    They hold for the component that contains small gains, and where small gains are not stable,
-    ``is_reachable`` False, for all stable gains. Gains are >= 0.
-
-    Example:
-        >>> jaxstab.simulated_pd(0.1, step=2e-3, substeps=4).limits()
-        GainLimits: the boundary closes to loops
-          largest kp = 6249.99 N m/rad at kd = 18.75 N m s/rad
-          largest kd = 24.9997 N m s/rad at kp = 0.125 N m/rad
-    """
-
-    first: GainLimit
-    second: GainLimit
-    status: RegionStatus
-    is_reachable: bool
-
-    def __repr__(self) -> str:
-        head = f"GainLimits: {self.status.words}"
-        if self.status == RegionStatus.COMPLETE and not self.is_reachable:
-            is_any = not isnan(self.first.value)
-            head += "; small gains are not stable" if is_any else "; no gains >= 0 are stable"
-        lines = [head]
-        for own, other in ((self.first, self.second), (self.second, self.first)):
-            name, unit, sense = own.gain
-            rounding = ROUND_FLOOR if sense == "largest" else ROUND_CEILING
-            value = number_text(own.value, 6, rounding, unit)
-            at = f" at {other.gain.name} = {number_text(own.at, 6, unit=other.gain.unit)}"
-            lines.append(f"  {sense} {name} = {value}{at if isfinite(own.value) else ''}")
-        return "\n".join(lines)
-
-
-class TunedGains(NamedTuple):
-    """The gains of the smallest spectral radius by their names, and the radius of exactly these.
-
-    Example:
-        >>> best = jaxstab.simulated_pd(0.1, step=2e-3).tune()
-        >>> {name: round(gain, -1) for name, gain in best.gains.items()}, best.radius < 1e-3
-        ({'kp': 25000.0, 'kd': 50.0}, True)
-    """
-
-    gains: dict[str, float]
-    radius: float
-    radius_error: float
-    status: TuningStatus
-
-    def __repr__(self) -> str:
-        pair = " at ".join(f"{name} = {exact_text(gain)}" for name, gain in self.gains.items())
-        radius = f"\n  spectral radius  {text_with_bound(self.radius, self.radius_error)}"
-        is_endless = self.status == TuningStatus.ENDLESS
-        return f"TunedGains: {pair} ({self.status.words}){'' if is_endless else radius}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -180,13 +98,6 @@ class Loop(TwoGains):
     words: str = "a loop"
     bounded: tuple[Gain, Gain] | None = field(default=None, repr=False)
     made: Any = field(default=None, repr=False, compare=False)  # the call of its door
-
-    @property
-    def coordinates(self) -> tuple[Gain, Gain]:
-        """The coordinates in which the stable gains are bounded, and drawn."""
-        if self._chart.are_gains:
-            return self.gains
-        return self.bounded or _over_leading(self.gains, self._chart)
 
     @classmethod
     def from_coefficients(
@@ -244,46 +155,6 @@ class Loop(TwoGains):
         names = ", ".join(gain.name for gain in self.gains)
         return f"Loop of ({names}): {self.words}"
 
-    @overload
-    def verdict(self, **gains: float) -> Verdict: ...
-    @overload
-    def verdict(self, **gains: Numbers) -> Int8[Array, "*grid"]: ...
-    def verdict(self, **gains: Numbers) -> Verdict | Int8[Array, "*grid"]:
-        """Proved verdicts on gains: codes of ``jaxstab.Verdict``, of any shape.
-
-        Each takes about 0.1 ms; more than a hundred, and JAX arrays, are a grid that takes less
-        than 0.1 us each where the gains do not move the leading coefficient of p(z). UNDECIDED
-        where 3,072 bits do not tell (JAX: pairs of float64), where interval coefficients leave it
-        open, and where the leading coefficient vanishes: the loop is algebraic there.
-
-        Raises: TypeError for other names, gains that are not numbers, and JAX arrays where the
-        gains move the leading coefficient; ValueError for gains that are not finite.
-
-        Source: the criterion of Schur and Cohn; lemma E1 of docs/proofs.md.
-
-        Example:
-            >>> loop = jaxstab.simulated_pd(0.1, step=2e-3)
-            >>> loop.verdict(kp=1000.0, kd=[0.0, 10.0, 200.0]).tolist()
-            [2, 1, 2]
-        """
-        pair = self._named((), gains)
-        grid = self._few(pair)
-        codes = self._codes(pair) if grid is None else self._verdicts(grid)
-        if grid is None and not is_jax(codes):
-            codes, grid = np.array(codes), wall_grid(**pair)
-            for place in np.flatnonzero(codes == Verdict.UNDECIDED):
-                codes.flat[place] = self._verdict(*grid.reshape(-1, 2)[place].tolist())
-        return named(codes, Verdict)
-
-    def _verdict(self, first: float, second: float) -> Verdict:
-        return affine_verdict(self.parts, first, second)
-
-    def _line(self, start: tuple[float, float], along: tuple[float, float]) -> StableLine:
-        line = super()._line(start, along)
-        if line.status == LineStatus.UNDECIDED and self.parts.is_reciprocal(start, along):
-            return line._replace(status=LineStatus.PROVED, horizon=inf)
-        return line
-
     def range_of(
         self, quantity: str, *, between: Range | None = None, count: int = 500, **gains: float
     ) -> "StableValues":
@@ -307,7 +178,7 @@ class Loop(TwoGains):
         pair = Gains(*(checked_number(name, x) for name, x in self._named((), gains).items()))
         return range_of_number(self, quantity, pair, between, count)
 
-    def region(self, *, tolerance: float = TOLERANCE) -> GainRegion:
+    def region(self, *, tolerance: float = TOLERANCE) -> Region:
         """The set of all stable gains, in its connected parts.
 
         It is computed, and drawn, in coordinates in which it is bounded: where the gains move the
@@ -321,15 +192,15 @@ class Loop(TwoGains):
 
         Example:
             >>> jaxstab.simulated_pd(0.1, step=2e-3).region()
-            GainRegion (kp, kd): the boundary closes to loops
+            Region (kp, kd): the boundary closes to loops
               largest  kp = 99999 N m/rad at kd = 0.0005 N m s/rad
               largest  kd = 99.999 N m s/rad at kp = 0.5 N m/rad
               islands  none found
         """
         tolerance = checked_number("tolerance", tolerance, 1e-10, is_open=True)
-        return GainRegion(self, region_of(ScaledLoop(self._chart, self._scale), tolerance))
+        return region_of_loop(self, tolerance)
 
-    def limits(self) -> GainLimits:
+    def limits(self) -> Limits[float]:
         """The largest stable value of each gain, or the least, as of an admittance.
 
         They are read off the region: it is not proved that no stable gains were missed beyond.
@@ -339,86 +210,14 @@ class Loop(TwoGains):
 
         Example:
             >>> jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4).limits()
-            GainLimits: the boundary closes to loops
-              least mass = 0.0158505 kg at damping = 26.7009 N s/m
-              least damping = 26.7009 N s/m at mass = 0.0158505 kg
+            Limits: the boundary closes to loops
+              least    mass = 0.015851 kg at damping = 26.701 N s/m
+              least    damping = 26.701 N s/m at mass = 0.01585 kg
+              islands  none found
         """
-        region = self.region()
-        main = region.main or region
-        if not region.components:
-            found: Any = np.full((2, 2), np.nan)
-        else:
-            found = main.extremes if self.coordinates == self.gains else self._in_rows(main)
-        first, second = np.array(found).tolist()
-        largest = printed_limit(self, 0, *first), printed_limit(self, 1, *second[::-1])
-        limits = [GainLimit(gain, *pair) for gain, pair in zip(self.gains, largest, strict=True)]
-        return GainLimits(limits[0], limits[1], region.status, region.main is not None)
+        return self.region().limits()
 
-    def _in_rows(self, main: GainRegion) -> list[Float64[np.ndarray, "2"]]:
-        """The extreme gains >= 0 of an outline in other coordinates, as ends of proved rows.
-
-        1/l, a/l and b/l are >= 0 in a triangle. Linear fractions as a and b are the largest and the
-        least at vertices of what the outline and the triangle share; infinite where 1/l is 0.
-        """
-        here = np.stack(self._chart.whole(*main.outline.T), axis=-1)
-        ahead, is_edge = here[1:], main.region.branch != NO_BRANCH
-        with np.errstate(all="ignore"):  # 0/0 along the sides, and at the corners of infinite gains
-            share = here[:-1] / (here[:-1] - ahead)
-            crossed = here[:-1, None] + share[..., None] * (ahead - here[:-1])[:, None]
-            crossed = crossed[(share > 0.0) & (share < 1.0) & is_edge[:, None]]
-            weights = np.array(self._chart.weights)
-            corners = np.diag(1.0 / weights)[weights > 0.0]
-            chart = np.delete(corners, self._chart.by, axis=1) / main.units
-            corners = corners[main.region.contains(*chart.T)]
-            whole = np.concatenate([here, crossed, corners])
-            whole[np.abs(whole) < 1e-9 * np.abs(whole).max(axis=0)] = 0.0
-            gains = whole[:, 1:] / whole[:, :1]
-        is_here = np.all(whole >= 0.0, axis=1)
-        if not np.all(whole[is_here].max(axis=0, initial=0.0) > 0.0):  # it touches an axis at most
-            return [np.full(2, np.nan)] * 2
-        return [self._extreme(axis, gains[is_here]) for axis in (0, 1)]
-
-    def _extreme(
-        self, axis: int, gains: Float64[np.ndarray, "point 2"]
-    ) -> Float64[np.ndarray, "2"]:
-        """Of some gains those of the largest or least one; finite ones are the end of a row."""
-        is_least = self.gains[axis].sense == "least"
-        gains = gains[~np.isnan(gains[:, axis])]
-        if not gains.size:
-            return np.full(2, np.nan)
-        best = gains[(np.argmin if is_least else np.argmax)(gains[:, axis])].copy()
-        if np.all(np.isfinite(best)):
-            row = self.intervals(**{self.gains[1 - axis].name: float(best[1 - axis])})
-            ends = [pair[0 if is_least else 1] for pair in row.intervals]
-            values = [end.value if end.value > end.error else 0.0 for end in ends]
-            near = min(values, key=lambda value: abs(value - best[axis]), default=np.inf)
-            if abs(near - best[axis]) <= 1e-4 * best[axis]:  # at a corner the row may miss it
-                best[axis] = near
-        return best
-
-    def margins(self, **gains: Numbers) -> GainMargins:
-        """Proved factors by which each gain, and both at once, may grow and shrink.
-
-        A margin of the delay is that of a plant between samples, which a loop of given polynomials
-        does not have: ``HapticLoop.margins`` has it.
-
-        Raises: as ``verdict``; TypeError for JAX arrays.
-
-        Source: lemma E3 of docs/proofs.md.
-
-        Example:
-            >>> loop = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
-            >>> loop.margins(mass=2.0, damping=50.0)
-            Margins: stable  least   largest    factors
-            mass (kg)        0.0275  unlimited  0.01375 to unlimited
-            damping (N s/m)  39.516  3995       0.79032 to 79.9
-            both                                0.78782 to unlimited
-        """
-        grid = wall_grid(**self._named((), gains))
-        labels = names_of(self.gains).labels
-        return margins_of_gains(self._triple, self._verdicts(grid), grid, labels)
-
-    def tune(self) -> TunedGains:
+    def tune(self) -> Tuned:
         """The gains >= 0 of the smallest spectral radius: the fastest decay.
 
         The search covers the component that contains small gains; where these are not stable, all
@@ -433,7 +232,7 @@ class Loop(TwoGains):
         Example:
             >>> robot = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
             >>> best = robot.tune()
-            >>> f"{best.gains['damping']:.2f} N s/m, radius {best.radius:.4f}"
+            >>> f"{best.damping:.2f} N s/m, radius {best.radius:.4f}"
             '110.95 N s/m, radius 0.7808'
         """
         region = self.region().region
@@ -445,9 +244,10 @@ class Loop(TwoGains):
         gains = dict(zip((gain.name for gain in self.gains), pair, strict=True))
         if not np.all(np.isfinite(pair)):
             status = TuningStatus.ENDLESS if best.radius < 1.0 else best.status
-            return TunedGains(gains, np.nan, np.inf, status)
+            return Tuned(pair[0], pair[1], np.nan, np.inf, status, names=self.gains)
         radius = self.spectral_radius(**gains)
-        return TunedGains(gains, float(radius.value), float(radius.error), best.status)
+        errors = float(radius.value), float(radius.error)
+        return Tuned(pair[0], pair[1], *errors, best.status, names=self.gains)
 
     def simulate(self, *, samples: int = 200, **gains: Numbers) -> Float64[Array, "*grid sample"]:
         """The motion of the loop's poles from an impulse, sample by sample.
@@ -507,19 +307,6 @@ class Loop(TwoGains):
             samples.flat[k] = motion_settled_after(self._triple, *pair, level, horizon)
         return SettlingTime(*settled_answer(samples * self.sample_time))
 
-    def _of_chart(self, first: Array, second: Array) -> tuple[Array, Array]:
-        return self._chart.gains(first, second)
-
-    def _triple(self) -> Triple:
-        return affine_triple(self.parts)
-
-    def _opened(self, first: float, second: float) -> tuple[Factored, Factored]:
-        return self.parts.opened(first, second)
-
-    @property
-    def _only_few(self) -> bool:
-        return not self._chart.are_gains
-
     def _in_units(self, first: Numbers, second: Numbers) -> tuple[Array, Array]:
         """Gains as those of ``_pairs``: without rounding where they are those of the chart."""
         pair = dict(zip((gain.name for gain in self.gains), (first, second), strict=True))
@@ -531,12 +318,17 @@ class Loop(TwoGains):
 
     @property
     def _charted(self) -> "Loop":
-        """The same loop by its coordinates."""
+        if self._chart.are_gains:
+            return self
         return replace(self, parts=self._chart, gains=self.coordinates)
 
     @cached_property
     def _chart(self) -> Chart:
         return chart_of(self.parts)
+
+    @property
+    def _source(self) -> Chart:
+        return self._chart
 
     @cached_property
     def _scale(self) -> tuple[float, float]:
@@ -548,24 +340,6 @@ class Loop(TwoGains):
         first, second = self._scale
         chart = partial(affine_triple, self._chart)
         return rounded_triple(lambda: chart().monic(), 1.0 / first, 1.0 / second)
-
-
-def _over_leading(gains: tuple[Gain, Gain], chart: Chart) -> tuple[Gain, Gain]:
-    """The gains of a chart, named by what they are over the leading coefficient."""
-    names, units = ("", *(gain.name for gain in gains)), ("", *(gain.unit for gain in gains))
-    terms = [
-        f"{'-' if weight < 0.0 else '+'} {abs(weight):.4g} {name}".rstrip().replace(" 1 ", " ")
-        for weight, name in zip(chart.weights, names, strict=True)
-        if weight
-    ]
-    leading = " ".join(terms).removeprefix("+ ")
-    per = f"/({units[chart.by]})" if units[chart.by] else ""
-    first, second = (
-        Gain(f"{name or 1}/({leading})", f"{unit or 1}{per}" if per else unit)
-        for k, (name, unit) in enumerate(zip(names, units, strict=True))
-        if k != chart.by
-    )
-    return first, second
 
 
 def _coefficient(name: str, value: Any) -> Coefficient:
@@ -662,7 +436,7 @@ def simulated_pd(
 
     Example:
         >>> loop = jaxstab.simulated_pd(2.216e-5, step=5e-3)
-        >>> round(loop.limits().first.value, 2)
+        >>> round(loop.limits().kp, 2)
         3.55
     """
     joint: Any = Device.simulated(
@@ -785,7 +559,7 @@ def pid(
         >>> [(low.value, round(high.value, 4)) for low, high in line.intervals]
         [(0.0, 1024414.8031)]
         >>> fast = jaxstab.pid(device, ki=0.0, kd_delay=0.0)  # the drive adds the damping itself
-        >>> [round(loop.limits().first.value) for loop in (jaxstab.pid(device, ki=0.0), fast)]
+        >>> [round(loop.limits().kp) for loop in (jaxstab.pid(device, ki=0.0), fast)]
         [36168, 171706]
     """
     require_kind("loop", loop, LoopParameters, "HapticLoop")

@@ -34,7 +34,7 @@ from jaxstab.boxes.search import (
 from jaxstab.conventions import Range, Verdict
 from jaxstab.exact import rough_radius
 from jaxstab.loop.jitter import MovingLoop, stiffest_proved
-from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
+from jaxstab.loop.region import TOLERANCE, Region, region_of_loop
 from jaxstab.model.balls import ball_triple
 from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.numbers import two_ends
@@ -291,12 +291,12 @@ Rows = Float64[np.ndarray, " row"]
 Intervals = Float64[np.ndarray, "row _ 2"]
 
 
-def _walls_of(loops: "Sequence[HapticLoop]") -> "dict[HapticLoop, WallRegion]":
+def _walls_of(loops: "Sequence[HapticLoop]") -> "dict[HapticLoop, Region]":
     """The stable walls of loops: the component that contains small gains, if there is one.
 
     Regions that are UNRESOLVED are left out; a proof for the range covers these loops, too.
     """
-    regions = {loop: wall_region(loop.in_floats(), TOLERANCE) for loop in loops}
+    regions = {loop: region_of_loop(loop.in_floats(), TOLERANCE) for loop in loops}
     return {
         loop: region if region.is_empty else region.main or region.components[0]
         for loop, region in regions.items()
@@ -304,7 +304,7 @@ def _walls_of(loops: "Sequence[HapticLoop]") -> "dict[HapticLoop, WallRegion]":
     }
 
 
-def common_walls(regions: Sequence[WallRegion], count: int = _ROWS) -> Points:
+def common_walls(regions: Sequence[Region], count: int = _ROWS) -> Points:
     """A polygon of walls that all regions have, by rows; no point where no row has one.
 
     Of several intervals of a row it takes the widest. Walls between two rows may be missed, and
@@ -353,13 +353,13 @@ def _wall_of(guess: Guess) -> Wall:
     return stiffness, damping
 
 
-def _common_rows(regions: Sequence[WallRegion]) -> tuple[float, float]:
+def _common_rows(regions: Sequence[Region]) -> tuple[float, float]:
     """The dampings between which all regions may have a wall."""
     tops = [region.outline[:, 1] for region in regions]
     return max(top.min() for top in tops), min(top.max() for top in tops)
 
 
-def _common_limits(regions: Sequence[WallRegion], rows: Rows) -> tuple[Rows, Rows]:
+def _common_limits(regions: Sequence[Region], rows: Rows) -> tuple[Rows, Rows]:
     """The ends of the widest interval of stiffness that all regions have in each row."""
     shared = reduce(_shared, (region.stiffness_intervals(rows) for region in regions))
     shared = np.pad(shared, ((0, 0), (0, 1), (0, 0)), constant_values=np.nan)  # there may be none

@@ -28,7 +28,7 @@ from jaxstab.conventions import Range, Verdict
 from jaxstab.exact.margins import SmallGainStatus, largest_jitter, small_gain
 from jaxstab.exact.roots import wall_verdict
 from jaxstab.exact.turns import PeriodicLoop, is_growing, segments_of
-from jaxstab.loop.region import TOLERANCE, WallLimits, wall_region
+from jaxstab.loop.region import TOLERANCE, Limits, region_of_loop
 from jaxstab.model import LoopParameters
 from jaxstab.model.balls import ball_loop, ball_triple
 from jaxstab.model.device.sampling import late_cosines
@@ -332,9 +332,9 @@ class MovingLoop(NamedTuple):
             lowest.append(min([most, *proved, known.get(damping, most)]))
         return np.array(lowest)
 
-    def _longest(self) -> WallLimits:
+    def _longest(self) -> Limits[float]:
         """Return the limits of the longest delay: no wall that it makes unstable is proved."""
-        return wall_region(replace(self.loop, delay=self.ends[1]), TOLERANCE).limits()
+        return region_of_loop(replace(self.loop, delay=self.ends[1]), TOLERANCE).limits()
 
     def _lowest_unstable(self, stiffness: float, damping: float) -> float:
         """Return a stiffness above one that is STABLE, proved UNSTABLE, by bisection."""

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
@@ -11,12 +10,11 @@ from jaxtyping import Float64, Int8
 from jaxstab import motion, point
 from jaxstab.arrays import Array, Numbers, is_any_jax, is_any_traced, named, pytree
 from jaxstab.conventions import HORIZON, Excitation, Range, Verdict
-from jaxstab.exact import StableLine
-from jaxstab.loop.gains import Gain, TwoGains
+from jaxstab.exact import StableLine, wall_verdict
+from jaxstab.loop.gains import TwoGains
 from jaxstab.loop.margins import (
     FrequencyMargins,
     Margins,
-    delay_reading,
     in_si_units,
     loop_margins,
     margins,
@@ -25,15 +23,20 @@ from jaxstab.loop.margins import (
 from jaxstab.loop.region import (
     TOLERANCE,
     Gains,
-    WallLimits,
-    WallRegion,
+    Limits,
+    Region,
+    Tuned,
     reached_interval,
-    wall_region,
+    region_of_loop,
 )
 from jaxstab.model import LoopParameters, by_name, checked_gain
-from jaxstab.model.balls import ball_triple
+from jaxstab.model.affine import Chart, WallParts
 from jaxstab.model.device.device import in_steps
+from jaxstab.model.device.parts import FIRST_BITS, working_precision
+from jaxstab.model.gain import WALL
+from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.model.loop import array_fields, refuse_arrays
+from jaxstab.model.plant import wall_grid
 from jaxstab.numbers import checked, checked_number, checked_word, require_together
 
 if TYPE_CHECKING:
@@ -42,7 +45,6 @@ if TYPE_CHECKING:
     from jaxstab.loop.contact import Contact
     from jaxstab.loop.hands import WorstHand
     from jaxstab.loop.jitter import MovingLimits, MovingLoop, WorstDelays
-    from jaxstab.loop.tune import OptimalWall
 
 
 @pytree
@@ -113,11 +115,10 @@ class HapticLoop(LoopParameters, TwoGains):
         (0.02, 0.2, 20.0)
     """
 
-    gains = Gain("stiffness", "N/m"), Gain("damping", "N s/m")
-    coordinates = gains
-    _by_place, _triple, _pairs = True, ball_triple, LoopParameters.linear
+    gains = WALL
+    _by_place = has_delay = True
 
-    def region(self, *, tolerance: float = TOLERANCE) -> WallRegion:
+    def region(self, *, tolerance: float = TOLERANCE) -> Region:
         """The set of all stable walls, in its connected parts.
 
         It takes some hundredths of a second; half a second with a window of more than 100 samples,
@@ -129,7 +130,7 @@ class HapticLoop(LoopParameters, TwoGains):
                 region's diameter, > 1e-10. Everything else is measured on the exact boundary.
 
         Returns:
-            WallRegion of NumPy arrays, with its status.
+            Region of NumPy arrays, with its status.
 
         Raises: ValueError also for a delay longer than 500 samples and for a device with zero DC
         gain: the boundary is computed from 1/G(0) on. TypeError if JAX traces the loop; ``limits``
@@ -146,15 +147,17 @@ class HapticLoop(LoopParameters, TwoGains):
                 "vmap and grad: call limits or jaxstab.regions_of, which JAX may trace."
             )
         tolerance = checked_number("tolerance", tolerance, 1e-10, is_open=True)
-        return wall_region(self.in_floats(), tolerance)
+        return region_of_loop(self.in_floats(), tolerance)
 
     @overload
-    def limits(self) -> WallLimits: ...
+    def limits(self) -> Limits[float]: ...
 
     @overload
     def limits(self, *, delays: Range, lost: int = 0) -> "MovingLimits": ...
 
-    def limits(self, *, delays: Range | None = None, lost: int = 0) -> "WallLimits | MovingLimits":
+    def limits(
+        self, *, delays: Range | None = None, lost: int = 0
+    ) -> "Limits[float] | MovingLimits":
         """The largest stiffness and the largest damping that the loop allows, of walls K, B >= 0.
 
         They hold for the stable component that contains small gains; the limits of islands, which
@@ -182,7 +185,7 @@ class HapticLoop(LoopParameters, TwoGains):
         if is_any_traced(self):
             from jaxstab.loop.many import limits_of
 
-            return WallLimits(*limits_of(self)[:-1])
+            return limits_of(self)._replace(is_single=True)
         return self.region().limits()
 
     def stiffness_limits(self, damping: Numbers) -> Float64[Array, "*grid 2"]:
@@ -328,7 +331,7 @@ class HapticLoop(LoopParameters, TwoGains):
         excitation: Excitation = "force",
         encoder: float | None = None,
         chatter: float | None = None,
-    ) -> "OptimalWall":
+    ) -> Tuned:
         """The wall (K, B) that comes to rest fastest, or the best B for a given K.
 
         Walls have K >= 0 and B >= 0. Where a gain of ``jaxstab.minimize_radius`` is negative, as
@@ -355,7 +358,7 @@ class HapticLoop(LoopParameters, TwoGains):
                 limit is returned.
 
         Returns:
-            OptimalWall: stiffness in N/m, damping in N s/m, spectral radius per sample with its
+            Tuned: stiffness in N/m, damping in N s/m, spectral radius per sample with its
             bound, settling time in s (infinite without a stable wall), a TuningStatus, and a proved
             bound in m of the motion that the encoder causes.
 
@@ -454,7 +457,7 @@ class HapticLoop(LoopParameters, TwoGains):
 
         return LoopsWithHands(self, hands, mass, delay, delays, lost).robust_limit()
 
-    @overload
+    @overload  # type: ignore[override] # of gains by place
     def verdict(
         self,
         stiffness: float,
@@ -542,7 +545,8 @@ class HapticLoop(LoopParameters, TwoGains):
             5.719...
         """
         if self.body is None or not (self.shape or is_any_jax(self, stiffness, damping)):
-            return loop_margins(self.in_floats(), stiffness, damping)
+            grid, plain = wall_grid(stiffness=stiffness, damping=damping), self.in_floats()
+            return loop_margins(plain, plain._verdicts(grid), grid)
         plant = self.gamma, self.delta, self.delay_samples  # a delay that is traced may be any
         found = margins(*self._in_units(stiffness, damping), **by_name(*plant) | self.filters)
         units = self.stiffness(1.0), self.damping(1.0), self.sample_time
@@ -869,6 +873,30 @@ class HapticLoop(LoopParameters, TwoGains):
         return alpha, self.beta(checked_gain("damping", second))
 
     @property
+    def parts(self) -> WallParts:
+        """The parts of p(z), in balls of the precision that is set."""
+        return WallParts(self.in_floats())
+
+    def _but_for_drift(self, first: float, second: float) -> Verdict | None:
+        if first != 0.0:
+            return None
+        with working_precision(FIRST_BITS):
+            drifts = self._triple().at(0.0, second).at_one == 1
+        return wall_verdict(self._triple, 0.0, second, may_drift=True).verdict if drifts else None
+
+    @property
+    def _source(self) -> LoopParameters:
+        return self
+
+    @property
+    def _chart(self) -> Chart:
+        return Chart(WallParts(self))
+
+    @property
+    def _pairs(self) -> LinearLoop:
+        return self.linear
+
+    @property
     def _scale(self) -> tuple[float, float]:
         return self.stiffness(1.0), self.damping(1.0)
 
@@ -877,9 +905,9 @@ class HapticLoop(LoopParameters, TwoGains):
         return (self.body.stiffness, self.gamma) if self.body else (0.0, 0.0)
 
     @property
-    def _delay_margin(self) -> Any:
+    def _held(self) -> LoopParameters | None:
         plain = self.in_floats()
-        return None if in_steps(plain.held_device) else partial(delay_reading, plain)
+        return None if in_steps(plain.held_device) else plain
 
     def _on_grid(self, question: str, units: tuple[Array, Array], **options: Any) -> Any:
         if self.body is None:

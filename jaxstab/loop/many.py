@@ -23,23 +23,25 @@ from dataclasses import replace
 from functools import lru_cache, partial, reduce
 from itertools import accumulate, chain, islice
 from math import prod
-from typing import TYPE_CHECKING, Any, NamedTuple, overload
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int8, Int64
+from jaxtyping import Bool, Float64, Int64
 
 from jaxstab.arrays import Array, is_any_jax, is_any_traced, leaves, namespace, take, tree_map
 from jaxstab.batches import ahead, alike, in_float64
 from jaxstab.conventions import Verdict
 from jaxstab.exact import TripleAt
 from jaxstab.exact.roots import are_inside
-from jaxstab.loop.affine import GainLimits, Loop
+from jaxstab.loop.affine import Loop
+from jaxstab.loop.region import Limits, Region
 from jaxstab.model import LoopParameters, require_x64
 from jaxstab.model.affine import AdmittanceParts, affine_triple
 from jaxstab.model.balls import Factored, ball_triple
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import NO_FILTERS, Filters, behind_measured, exact_chain, given_filters
+from jaxstab.model.gain import WALL, Gain
 from jaxstab.model.linear_loop import companion_matrix, filter_factors, filtered_loop
 from jaxstab.model.loop import MECHANICS, array_fields, as_one
 from jaxstab.numbers import require_together
@@ -50,7 +52,6 @@ from jaxstab.region.measures import vertex_roots
 
 if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop
-    from jaxstab.loop.region import WallRegion
     from jaxstab.region.batch import Extremes, Triples
 
 _VERTICES = 295  # of an outline
@@ -91,43 +92,9 @@ class Formed(NamedTuple):
 _Group = tuple[list[Formed], "Triples", Callable[..., Any]]
 
 
-class ManyLimits(NamedTuple):
-    """The stiffest and the most damped stable wall of each loop; arrays of one length.
-
-    Attributes:
-        stiffness: the largest stable K in N/m of walls with B >= 0, as in ``WallLimits``; NaN where
-            none is stable.
-        at_damping: the B in N s/m at which it is reached.
-        damping: the largest stable B in N s/m of walls with K >= 0.
-        at_stiffness: the K in N/m at which it is reached.
-        status: codes of ``RegionStatus``.
-        is_reachable: True for walls that are connected to zero gains.
-        is_single: True for loops that were answered one by one, by ``HapticLoop.limits``.
-
-    Example:
-        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-        >>> jaxstab.limits_of([loop]).stiffness.round().tolist()
-        [70643.0]
-    """
-
-    stiffness: Float64[Array, "*loop"]
-    at_damping: Float64[Array, "*loop"]
-    damping: Float64[Array, "*loop"]
-    at_stiffness: Float64[Array, "*loop"]
-    status: Int8[Array, "*loop"]
-    is_reachable: Bool[Array, "*loop"]
-    is_single: Bool[Array, "*loop"]
-
-
-@overload
-def limits_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> ManyLimits: ...
-
-
-@overload
-def limits_of(loops: Sequence[Loop]) -> "ManyGainLimits": ...
-
-
-def limits_of(loops: Any, **fields: Any) -> "ManyLimits | ManyGainLimits":
+def limits_of(
+    loops: "Sequence[HapticLoop] | Sequence[Loop] | HapticLoop", **fields: Any
+) -> Limits[Array]:
     """Return the largest stiffness and the largest damping that each of many loops allows.
 
     Give a list of loops, or one whose fields are arrays that broadcast; or a list of ``Loop``, of
@@ -157,9 +124,9 @@ def limits_of(loops: Any, **fields: Any) -> "ManyLimits | ManyGainLimits":
             lists that broadcast with the others: numbers, estimators or devices.
 
     Returns:
-        ManyLimits of arrays in the order of the loops, or of the shape of the fields;
-        ManyGainLimits for loops of any two gains. Admittances that differ in T and Ke alone, or in
-        a spring in proportion to Ke, are computed once.
+        Limits of arrays in the order of the loops, or of the shape of the fields; those of loops of
+        different gains are ``first`` and ``second`` alone. Admittances that differ in T and Ke
+        alone, or in a spring in proportion to Ke, are computed once.
 
     Raises:
         TypeError: this is no list, or an item is no HapticLoop; a field is unknown, or beside a
@@ -186,31 +153,6 @@ def limits_of(loops: Any, **fields: Any) -> "ManyLimits | ManyGainLimits":
     return _answered(loops, fields, outlines=False).limits
 
 
-class ManyGainLimits(NamedTuple):
-    """The limits of both gains of each of many loops of any two gains; arrays of one length.
-
-    Attributes:
-        first: the largest stable first gain, or the least, as ``Loop.limits`` has it.
-        at_second: the second gain at which it is reached.
-        second, at_first: the same of the second gain.
-        is_reachable: True where small gains are stable.
-        status, is_single: as those of ``ManyLimits``.
-
-    Example:
-        >>> loops = [jaxstab.simulated_pd(0.1, step=step) for step in (1e-3, 2e-3)]
-        >>> jaxstab.limits_of(loops).first.round().tolist()
-        [400000.0, 100000.0]
-    """
-
-    first: Float64[Array, "*loop"]
-    at_second: Float64[Array, "*loop"]
-    second: Float64[Array, "*loop"]
-    at_first: Float64[Array, "*loop"]
-    status: Int8[Array, "*loop"]
-    is_reachable: Bool[Array, "*loop"]
-    is_single: Bool[Array, "*loop"]
-
-
 class ManyRegions(NamedTuple):
     """The stable walls of each loop that are connected to zero gains, without islands.
 
@@ -229,7 +171,7 @@ class ManyRegions(NamedTuple):
 
     outline: Float64[Array, "*loop vertex 2"]
     area: Float64[Array, "*loop"]
-    limits: ManyLimits | ManyGainLimits
+    limits: Limits[Array]
 
 
 def regions_of(
@@ -275,10 +217,11 @@ def _answered(loops: Any, fields: dict[str, Any], *, outlines: bool) -> ManyRegi
         else:
             answer = moved_together(_varied(many, fields, shape), outlines=outlines)
     elif isinstance(many, list) and many and all(isinstance(loop, Loop) for loop in many):
-        stacks = [Stack(np.arange(len(many)), many)]
-        answer = _searched(stacks, ManyGainLimits, outlines=outlines)
+        stacks, kinds = [Stack(np.arange(len(many)), many)], {loop.gains for loop in many}
+        gains = kinds.pop() if len(kinds) == 1 else (Gain("first"), Gain("second"))
+        answer = _searched(stacks, gains, outlines=outlines)
     else:
-        answer = _searched(_stacks(many, fields, shape), ManyLimits, outlines=outlines)
+        answer = _searched(_stacks(many, fields, shape), WALL, outlines=outlines)
     return tree_map(lambda column: column.reshape((*shape, *column.shape[1:])), answer)
 
 
@@ -287,7 +230,7 @@ def empty_outlines(*shape: int) -> Outlines:
     return *np.full((2, *shape, _VERTICES, 2), np.nan), np.full(shape, np.nan)
 
 
-def outline_of(region: "WallRegion") -> Outlines:
+def outline_of(region: Region) -> Outlines:
     """Return the outline of the component that holds small gains, as a batch returns outlines."""
     if region.main is None:
         return empty_outlines()
@@ -309,12 +252,13 @@ def _limits_alone(loop: Any) -> tuple[Sequence[float], RegionStatus, bool]:
     if isinstance(loop.parts, AdmittanceParts):
         parts, (mass, damping) = loop.parts.in_units()
         loop = replace(loop, parts=parts, sample_time=1.0, words="")
-    (_, least, at), (_, other, beside), status, is_reachable = _limits_of(loop)
-    return (least * mass, at * damping, other * damping, beside * mass), status, is_reachable
+    found = _limits_of(loop)
+    values = np.multiply(found[:4], [mass, damping, damping, mass]).tolist()
+    return values, found.status, found.is_reachable
 
 
 @lru_cache(1024)
-def _limits_of(loop: Loop) -> GainLimits:
+def _limits_of(loop: Loop) -> Limits[float]:
     return loop.limits()
 
 
@@ -412,8 +356,8 @@ def in_floats(loop: Any) -> "HapticLoop":
     return floats
 
 
-def _searched(stacks: list[Stack], kind: Any, *, outlines: bool) -> ManyRegions:
-    """The answers to loops that JAX does not trace, their limits of a kind."""
+def _searched(stacks: list[Stack], gains: tuple[Gain, Gain], *, outlines: bool) -> ManyRegions:
+    """The answers to loops that JAX does not trace, of these gains."""
     count = sum(len(members) for members, _ in stacks)
     found: Any = empty_outlines(count) if outlines else (None,) * 3
     vertices, _, area = found
@@ -428,7 +372,7 @@ def _searched(stacks: list[Stack], kind: Any, *, outlines: bool) -> ManyRegions:
             vertices[members] = outline.vertices * units[:, None]
             area[members] = outline.area * units.prod(axis=1)
     is_open = is_single & outlines
-    if outlines and kind is ManyGainLimits:  # the batch has these in other coordinates
+    if outlines and gains != WALL:  # the batch has some of these in other coordinates
         is_single |= [not loop._chart.are_gains for loop in stacks[0].loop]
     for index, loop in singles(stacks, is_single):
         walls[index], status[index], is_reachable[index] = _limits_alone(loop)
@@ -437,7 +381,8 @@ def _searched(stacks: list[Stack], kind: Any, *, outlines: bool) -> ManyRegions:
             vertices[index], _, area[index] = outline_of(region)
             vertices[index] *= region.units
             area[index] *= prod(region.units)
-    limits = kind(*walls.T, status, is_reachable, is_single)
+    one, at_two, two, at_one = walls.T
+    limits = Limits(one, at_two, two, at_one, status, is_reachable, is_single, names=gains)
     return ManyRegions(vertices, area, limits)
 
 

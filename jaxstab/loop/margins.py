@@ -16,7 +16,7 @@ from dataclasses import replace
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from functools import partial
 from math import degrees, inf, isfinite, isnan, log10, nan, nextafter, pi, ulp
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, Int8
@@ -34,16 +34,21 @@ from jaxstab.exact import (
     stable_line,
     wall_verdict,
 )
+from jaxstab.loop.region import by_gain
 from jaxstab.model import checked_delta, checked_gain, checked_gamma
 from jaxstab.model.balls import ball_loop, ball_triple
 from jaxstab.model.device.device import in_steps
 from jaxstab.model.device.sampling import one_sample
 from jaxstab.model.filters import Filter, Velocity, known_filters
+from jaxstab.model.gain import ALPHA_BETA, WALL, Gain
 from jaxstab.model.loop import LoopParameters, refuses_loops, unit_loops
 from jaxstab.model.plant import LONGEST_DELAY, wall_grid
 from jaxstab.numbers import checked, require_together, without_noise
 from jaxstab.rounding import UNIT
 from jaxstab.shown import number_text, rounded_text, table_text
+
+if TYPE_CHECKING:
+    from jaxstab.loop.gains import TwoGains
 
 WAYS = ((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0), (4, 1.0))
 """The axes (alpha, beta, delay) along which a wall is changed, and the signs."""
@@ -51,13 +56,21 @@ WAYS = ((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0), (4, 1.0))
 _NOT_KNOWN = nan, nan  # an end, and the angle / pi of the root that is on the circle there
 
 
-def loop_margins(loop: LoopParameters, stiffness: Numbers, damping: Numbers) -> "WallMargins":
-    """The margins of walls of one loop, in SI units."""
-    point = wall_grid(stiffness=stiffness, damping=damping)
-    rows = [crossings_of(loop, (K, B)) for K, B in point.reshape(-1, 2).tolist()]
-    table = np.reshape(rows, (*point.shape[:-1], 1 + 2 * len(WAYS)))
-    margins = margins_of(point, table[..., 0], table[..., 1::2])
-    return in_si_units(margins, 1.0, 1.0, loop.sample_time)
+def loop_margins(
+    loop: "TwoGains", codes: Int8[np.ndarray, "*grid"], pairs: Float64[np.ndarray, "*grid 2"]
+) -> "Margins":
+    """The margins of pairs of gains of one loop with these verdicts."""
+    ends, delays, held = np.full((codes.size, 3, 2), nan), np.full(codes.size, nan), loop._held
+    for k, pair in stable_pairs(codes, pairs):
+        ways = ends_of_gains(loop._triple, pair)
+        ways += _ends(loop._triple, 1.0, (0.0, 0.0), pair) if any(pair) else [(inf, nan)] * 2
+        ends[k] = np.reshape([end for end, _ in ways], (3, 2))
+        if held is not None:
+            delays[k] = longer_delay(held, pair).samples * loop.sample_time
+    ends = ends.reshape(*codes.shape, 3, 2)
+    both = np.maximum(ends[..., 2, :], 0.0)
+    later = None if held is None and not loop.has_delay else delays.reshape(codes.shape)
+    return margins_of(pairs, codes, ends[..., :2, :], both, later, loop.gains)
 
 
 def crossings_of(loop: LoopParameters, wall: tuple[float, float]) -> list[float]:
@@ -114,33 +127,6 @@ def _ends(
 _DIGITS = 5
 
 
-def margins_text(margins: tuple[Numbers, ...], names: tuple[str, str, str]) -> str:
-    """A ``Margins`` as a table: of one wall a row per quantity, of many a row per wall."""
-    if not are_numbers(margins):
-        return f"Margins{tuple(margins)}"
-    verdict, stiffness, damping, stiffness_gain, damping_gain, extra_delay = margins
-    codes = verdict_words(verdict)
-    delays = [
-        "not known" if code == "stable" and np.isnan(delay) else _largest(delay)
-        for code, delay in zip(codes, np.ravel(extra_delay), strict=True)
-    ]
-    alone = (stiffness, stiffness_gain), (damping, damping_gain)
-    every = (np.c_[np.reshape(ends, (-1, 2)), np.ravel(gains)] for ends, gains in alone)
-    limits = [[(*_interval(low, high), _largest(gain)) for low, high, gain in own] for own in every]
-    if np.ndim(verdict) == 0:
-        rows = [
-            (f"Margins: {codes[0]}", "least", "largest", "factor"),
-            (names[0], *limits[0][0]),
-            (names[1], *limits[1][0]),
-            (names[2], "", delays[0], ""),
-        ]
-        return table_text(rows)
-    heads = [head for name in names[:2] for head in (name, "to", "factor")]
-    walls = zip(codes, *limits, delays, strict=True)
-    rows = [(code, *stiff, *damp, delay) for code, stiff, damp, delay in walls]
-    return many_text("Margins", "walls", [*heads, names[2]], rows)
-
-
 def verdict_words(verdict: Numbers) -> list[str]:
     """The names of verdicts, in a list."""
     return [Verdict(int(code)).name.lower() for code in np.ravel(verdict)]
@@ -154,10 +140,15 @@ def many_text(title: str, kind: str, heads: Sequence[str], rows: Sequence[Sequen
     return f"{title} of {len(rows)} {kind}\n{table}{more}"
 
 
-def _interval(low: float, high: float, most: float = inf) -> tuple[str, str]:
-    extent = min(float(high) - float(low), most)
-    least, largest = without_noise((low, high), extent).tolist()
+def _interval(ends: Sequence[float], most: float = 1.0) -> tuple[str, str]:
+    """Two ends; what is 1e-9 of their distance, and of ``most``, is 0."""
+    least, largest = without_noise(ends, min(ends[1] - ends[0], most)).tolist()
     return _least(least), _largest(largest)
+
+
+def _stable(ends: Sequence[float]) -> tuple[str, str]:
+    endless = 1e12  # is as good as unlimited: then the other end is not 0
+    return _interval(ends, inf if ends[1] < endless else 1.0)
 
 
 def _least(value: float) -> str:
@@ -169,49 +160,116 @@ def _largest(value: float) -> str:
 
 
 class Margins(NamedTuple):
-    """The changes that a wall allows; NaN throughout for a wall that is not proved stable.
+    """The changes that two gains allow; NaN throughout for a pair that is not proved stable.
 
-    All numbers are proved: the wall stays stable that far. Intervals end at the first root on the
-    circle, to the last digits; an extra delay falls short of it by about 1e-9 of the way at most,
-    or by more where the search is given up, for a wall whose roots stay next to the circle at
-    nearly all angles. The table rounds limits inwards, and prints 0 for one below 1e-9 of its
-    interval, such as a least stiffness that the root at z = 1 sets.
+    All numbers are proved: the loop is stable between any two. Intervals end at the first root on
+    the circle, to the last digits; an extra delay falls short of it by about 1e-9 of the way at
+    most, or by more where the search is given up, for a wall whose roots stay next to the circle at
+    nearly all angles. A factor is 0 where a gain may be turned down to 0, or beyond; with 0 times a
+    gain nothing changes. The table rounds limits inwards, and prints 0 for one below 1e-9 of its
+    interval, such as a least stiffness that the root at z = 1 sets. By the name of a gain, as in
+    ``stiffness`` and ``stiffness_gain``, stand its interval and its largest factor.
 
     Attributes:
         verdict: codes of ``Verdict``.
-        stiffness: the smallest and the largest K between which the wall stays stable at this B.
-        damping: the smallest and the largest B between which it stays stable at this K.
-        stiffness_gain: the factor by which K may be multiplied; infinite for K = 0.
-        damping_gain: the factor by which B may be multiplied; infinite for B = 0.
+        first: the smallest and the largest first gain between which the loop stays stable at this
+            second one.
+        second: the same of the second gain.
+        first_factors: the least and the largest factor by which the first gain may be multiplied.
+        second_factors: the same of the second gain.
+        both_factors: the factors of both at once: the gain margins of the open loop; None of
+            ``jaxstab.margins``.
         extra_delay: the time by which the delay may grow; infinite if no delay is too long, NaN
-            for a device in z.
+            for a device in z, None for a loop that is known at its samples alone.
+        names: those of the gains, and their units.
 
     Example:
         >>> jaxstab.margins(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0)
-        Margins: stable        least   largest  factor
-        alpha                  0       0.11185  1.1185
-        beta                   0.1689  0.6702   3.351
+        Margins: stable        least   largest  factors
+        alpha                  0       0.11185  0 to 1.1185
+        beta                   0.1689  0.6702   0.8445 to 3.351
         extra delay (samples)          0.15444
+        >>> jaxstab.simulated_pd(0.1, step=2e-3, substeps=4).margins(kp=500.0, kd=10.0)
+        Margins: stable  least  largest  factors
+        kp (N m/rad)     0      3333.3   0 to 6.6666
+        kd (N m s/rad)   1.5    24.5     0.15 to 2.45
+        both                             0 to 2.3809
     """
 
     verdict: Int8[Array, "*grid"]
-    stiffness: Float64[Array, "*grid 2"]
-    damping: Float64[Array, "*grid 2"]
-    stiffness_gain: Float64[Array, "*grid"]
-    damping_gain: Float64[Array, "*grid"]
-    extra_delay: Float64[Array, "*grid"]
+    first: Float64[Array, "*grid 2"]
+    second: Float64[Array, "*grid 2"]
+    first_factors: Float64[Array, "*grid 2"]
+    second_factors: Float64[Array, "*grid 2"]
+    both_factors: Float64[Array, "*grid 2"] | None
+    extra_delay: Float64[Array, "*grid"] | None
+    names: tuple[Gain, Gain]
+
+    @property
+    def stiffness(self) -> Float64[Array, "*grid 2"]:
+        """The stable interval of the stiffness, of loops with that gain."""
+        return self._of("stiffness")
+
+    @property
+    def damping(self) -> Float64[Array, "*grid 2"]:
+        """The stable interval of the damping, of loops with that gain."""
+        return self._of("damping")
+
+    @property
+    def stiffness_gain(self) -> Float64[Array, "*grid"]:
+        """The largest factor of the stiffness; infinite for K = 0."""
+        return self._of("stiffness_gain")
+
+    @property
+    def damping_gain(self) -> Float64[Array, "*grid"]:
+        """The largest factor of the damping; infinite for B = 0."""
+        return self._of("damping_gain")
+
+    def __getattr__(self, name: str) -> Any:
+        """The interval or the largest factor of a gain by its name."""
+        return self._of(name)
+
+    def _of(self, name: str) -> Any:
+        values: dict[str, Array] = {}
+        for gain, ends, factors in zip(self.names, self[1:3], self[3:5], strict=True):
+            values |= {gain.name: ends, f"{gain.name}_gain": factors[..., 1]}
+        return by_gain(self, name, values)
 
     def __repr__(self) -> str:
-        """A table: a row for each quantity of one wall, or one for each of several walls."""
-        return margins_text(self, ("alpha", "beta", "extra delay (samples)"))
+        """A table: a row for each gain of one pair, or one for each of several pairs."""
+        if not are_numbers(self[:-1]):
+            return f"Margins{tuple(self)}"
+        codes, many = verdict_words(self.verdict), range(np.size(self.verdict))
+        sides = [np.reshape(own, (-1, 2)).tolist() for own in self[1:5]]
+        both, delays = (None if x is None else np.ravel(x).tolist() for x in self[5:7])
+        delay_name = f"extra delay ({'s' if self.names[0].unit else 'samples'})"
+
+        def rows_of(k: int) -> list[tuple[str, str, str, str]]:
+            rows = [
+                (gain.label, *_stable(ends[k]), _factors(factors[k]))
+                for gain, ends, factors in zip(self.names, sides[:2], sides[2:], strict=True)
+            ]
+            if both is not None:
+                rows.append(("both", "", "", _factors(both[2 * k : 2 * k + 2])))
+            if delays is not None:
+                is_open = codes[k] == "stable" and isnan(delays[k])
+                rows.append((delay_name, "", "not known" if is_open else _largest(delays[k]), ""))
+            return rows
+
+        if np.ndim(self.verdict) == 0:
+            head = f"Margins: {codes[0]}", "least", "largest", "factors"
+            return table_text([head, *rows_of(0)])
+        heads = [gain.label for gain in self.names]
+        heads = [head for own in heads for head in (own, "to", "factors")]
+        heads += ["both"] * (both is not None) + [delay_name] * (delays is not None)
+        every = [
+            (codes[k], *(cell for row in rows_of(k) for cell in row[1:] if cell)) for k in many
+        ]
+        return many_text("Margins", "pairs of gains", heads, every)
 
 
-class WallMargins(Margins):
-    """Margins in SI units, with these units in their printed table."""
-
-    def __repr__(self) -> str:
-        """The table of ``Margins`` with units."""
-        return margins_text(self, ("K (N/m)", "B (N s/m)", "extra delay (s)"))
+def _factors(ends: Sequence[float]) -> str:
+    return "none" if isnan(ends[0]) else " to ".join(_interval(ends))
 
 
 @refuses_loops("margins(K, B)")
@@ -269,124 +327,48 @@ def margins(
         from jaxstab.loop.moving import moving_ends
 
         ends = moving_ends(point, ends, xp.stack(found[1::2], axis=-1), filters)
-    return margins_of(point, code, ends)
+    alone = ends[..., :4].reshape(*ends.shape[:-1], 2, 2)
+    return margins_of(point[..., :2], code, alone, None, ends[..., 4], ALPHA_BETA)
 
 
-def margins_of(point: Array, code: Array, ends: Array) -> Margins:
-    """The margins of walls, whose first numbers are alpha and beta, from the ends of their ways."""
-    xp = namespace(point)
-    return Margins(
-        named(code.astype(xp.int8), Verdict),
-        ends[..., :2],
-        ends[..., 2:4],
-        _factor(xp, ends[..., :2], point[..., 0]),
-        _factor(xp, ends[..., 2:4], point[..., 1]),
-        ends[..., -1],
-    )
+def margins_of(
+    pairs: Array,
+    codes: Array,
+    ends: Array,
+    both: Array | None,
+    later: Array | None,
+    gains: tuple[Gain, Gain],
+) -> Margins:
+    """The margins of pairs of gains, from the ends up to which each of them is stable."""
+    xp = namespace(pairs, ends)
+    is_none = pairs[..., None] == 0.0
+    factors = xp.sort(ends / xp.where(is_none, 1.0, pairs[..., None]), axis=-1)
+    without = xp.where(xp.isnan(ends), ends, xp.asarray([0.0, inf]))
+    factors = xp.maximum(xp.where(is_none, without, factors), 0.0)
+    columns = ends[..., 0, :], ends[..., 1, :], factors[..., 0, :], factors[..., 1, :]
+    return Margins(named(codes.astype(xp.int8), Verdict), *columns, both, later, gains)
 
 
 def in_si_units(
     margins: Margins, stiffness: Numbers, damping: Numbers, sample_time: Numbers
-) -> WallMargins:
+) -> Margins:
     """Margins in units of one sample, by K in N/m and B in N s/m of alpha = 1 and beta = 1.
 
     Those of many loops are arrays.
     """
     per_alpha, per_beta = (u[..., None] if np.ndim(u) else u for u in (stiffness, damping))
-    return WallMargins(
-        margins.verdict,
-        margins.stiffness * per_alpha,
-        margins.damping * per_beta,
-        margins.stiffness_gain,
-        margins.damping_gain,
-        sample_time * margins.extra_delay,
+    return margins._replace(
+        first=margins.first * per_alpha,
+        second=margins.second * per_beta,
+        extra_delay=sample_time * margins.extra_delay,
+        names=WALL,
     )
-
-
-def _factor(xp: Any, ends: Array, gain: Array) -> Array:
-    """The factor by which a gain may be multiplied; NaN where it is not known."""
-    end = xp.where(gain < 0.0, ends[..., 0], ends[..., 1])
-    without = xp.where(xp.isnan(end), end, inf)
-    return xp.where(gain != 0.0, end / xp.where(gain != 0.0, gain, 1.0), without)
-
-
-class GainMargins(NamedTuple):
-    """The changes that two gains of a loop allow; NaN throughout where not proved stable.
-
-    All numbers are proved, as those of ``Margins``: the loop is stable between any two. A factor
-    is 0 where a gain may be turned down to 0, or beyond; with 0 times a gain nothing changes.
-
-    Attributes:
-        verdict: codes of ``Verdict``.
-        first: the smallest and the largest first gain between which the loop stays stable at this
-            second one.
-        second: the same of the second gain.
-        first_factors: the least and the largest factor by which the first gain may be multiplied.
-        second_factors: the same of the second gain.
-        both_factors: the factors of both at once: the gain margins of the open loop.
-        names: those of the gains, with their units.
-
-    Example:
-        >>> jaxstab.simulated_pd(0.1, step=2e-3, substeps=4).margins(kp=500.0, kd=10.0)
-        Margins: stable  least  largest  factors
-        kp (N m/rad)     0      3333.3   0 to 6.6666
-        kd (N m s/rad)   1.5    24.5     0.15 to 2.45
-        both                             0 to 2.3809
-    """
-
-    verdict: Int8[Array, "*grid"]
-    first: Float64[Array, "*grid 2"]
-    second: Float64[Array, "*grid 2"]
-    first_factors: Float64[Array, "*grid 2"]
-    second_factors: Float64[Array, "*grid 2"]
-    both_factors: Float64[Array, "*grid 2"]
-    names: tuple[str, str]
-
-    def __repr__(self) -> str:
-        """A table: a row for each gain of one pair, or one for each of several pairs."""
-        codes = verdict_words(self.verdict)
-        pairs = np.stack(self[1:6], axis=-2).reshape(-1, 5, 2).tolist()
-        most = 1.0  # of an extent: an end may be as good as unlimited, and the other one is not 0
-        text = [[_interval(low, high, most) for low, high in own] for own in pairs]
-        limits = [own[:2] for own in text]
-        factors = [
-            ["none" if "none" in ends else " to ".join(ends) for ends in own[2:]] for own in text
-        ]
-        names = *self.names, "both"
-        if np.ndim(self.verdict) == 0:
-            rows = zip(names, [*limits[0], ("", "")], factors[0], strict=True)
-            own = [(name, *ends, factor) for name, ends, factor in rows]
-            return table_text([(f"Margins: {codes[0]}", "least", "largest", "factors"), *own])
-        every = [(code, *row) for code, row in zip(codes, factors, strict=True)]
-        return many_text("Margins", "pairs of gains", [f"factors of {x}" for x in names], every)
 
 
 def stable_pairs(codes: Array, pairs: Array) -> Iterator[tuple[int, tuple[float, float]]]:
     """The numbers of the pairs of gains that are proved stable, and these."""
     every = pairs.reshape(-1, 2).tolist()
     return ((k, (*every[k],)) for k in np.flatnonzero(codes == Verdict.STABLE).tolist())
-
-
-def margins_of_gains(
-    triple: TripleAt,
-    codes: Int8[np.ndarray, "*grid"],
-    pairs: Float64[np.ndarray, "*grid 2"],
-    names: tuple[str, str],
-) -> "GainMargins":
-    """The margins of pairs of gains with these verdicts."""
-    ends = np.full((codes.size, 3, 2), nan)
-    for k, pair in stable_pairs(codes, pairs):
-        ways = ends_of_gains(triple, pair)
-        ways += _ends(triple, 1.0, (0.0, 0.0), pair) if any(pair) else [(inf, nan)] * 2
-        ends[k] = np.reshape([end for end, _ in ways], (3, 2))
-    ends = ends.reshape(*codes.shape, 3, 2)
-    alone = ends[..., :2, :]
-    with np.errstate(all="ignore"):
-        factors = np.sort(alone / pairs[..., None], axis=-1)
-    factors = np.where((pairs[..., None] == 0.0) & ~np.isnan(alone), [0.0, inf], factors)
-    factors = np.maximum(np.concatenate([factors, ends[..., 2:, :]], axis=-2), 0.0)
-    columns = np.moveaxis(np.concatenate([alone, factors], axis=-2), -2, 0)
-    return GainMargins._make([named(codes, Verdict), *columns, names])
 
 
 # Margins in the language of frequency.
@@ -494,17 +476,17 @@ def _words(name: str, rounding: str, own: AtFrequency) -> list[str]:
 
 
 def wall_frequency_margins(
-    loop: Any, first: Numbers, second: Numbers, *, in_full: bool = True
+    loop: "TwoGains", first: Numbers, second: Numbers, *, in_full: bool = True
 ) -> FrequencyMargins:
     """The margins of pairs of gains of a loop; not ``in_full`` phase and sensitivity alone."""
     names = [gain.name for gain in loop.gains]
     pairs = wall_grid(**dict(zip(names, (first, second), strict=True)))
     codes = np.asarray(loop.verdict(**dict(zip(names, np.moveaxis(pairs, -1, 0), strict=True))))
-    delay = loop._delay_margin if in_full else None
+    held = loop._held if in_full else None
     found = np.full((7, 3, codes.size), nan)
     for k, pair in stable_pairs(codes, pairs):
         own = readings(partial(loop._opened, *pair), in_full=in_full)
-        found[..., k] = own._replace(delay=delay(*pair)) if delay else own
+        found[..., k] = own._replace(delay=delay_reading(held, *pair)) if held else own
     units = np.array([1.0, 1.0, degrees(1.0), loop.sample_time, 1.0, 1.0, 1.0])[:, None]
     values, errors, angles = np.moveaxis(found, 1, 0)
     values, errors = values * units, errors * units

@@ -29,7 +29,6 @@ from jaxstab.arrays import is_any_traced, solved
 from jaxstab.batches import alike
 from jaxstab.loop.many import (
     Form,
-    ManyLimits,
     ManyRegions,
     Stack,
     common_form,
@@ -41,7 +40,7 @@ from jaxstab.loop.many import (
     triples_of_masses,
 )
 from jaxstab.loop.margins import WAYS
-from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
+from jaxstab.loop.region import TOLERANCE, Limits, Region, region_of_loop
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import Filters, given_filters
 from jaxstab.point import closed_loop_poles
@@ -217,16 +216,16 @@ def _write(answers: Any, members: Any, own: Any) -> None:
 
 
 def _alone(loop: Any, *, outlines: bool) -> Any:
-    region = wall_region(loop, TOLERANCE)
+    region = region_of_loop(loop, TOLERANCE)
     return _extremes(region), outline_of(region) if outlines else None
 
 
-def _extremes(region: WallRegion) -> Float64[np.ndarray, "2 field"]:
+def _extremes(region: Region) -> Float64[np.ndarray, "2 field"]:
     """The two extreme walls of the reachable part, or of all, and the status of the region."""
     main = region.main
     of = region if main is None else main
     curve, outline, rows = of.region.curve, of.region.outline, []
-    loop: LoopParameters = region.loop
+    loop: Any = region.loop
     for point, vertex in measures.quadrant_extremes(curve, outline):
         angles = np.full(2, np.nan)
         if np.any(np.isnan(point)):
@@ -242,7 +241,7 @@ def _extremes(region: WallRegion) -> Float64[np.ndarray, "2 field"]:
 
 
 @jax.jit
-def _moved(loop: LoopParameters, extremes: _Extreme) -> ManyLimits:
+def _moved(loop: LoopParameters, extremes: _Extreme) -> Limits[Any]:
     """Return both extreme walls, with their derivatives by the numbers of the loop."""
     numbers = _numbers(loop)
 
@@ -254,7 +253,7 @@ def _moved(loop: LoopParameters, extremes: _Extreme) -> ManyLimits:
         return jnp.where(~is_corner & (start[:2] == 0.0), 0.0, wall)  # on an axis it stays there
 
     (stiffest, at_damping), (at_stiffness, damping) = jax.vmap(moved)(extremes, jnp.arange(2))
-    return ManyLimits(
+    return Limits(
         loop.stiffness(stiffest),
         loop.damping(at_damping),
         loop.damping(damping),

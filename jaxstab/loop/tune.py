@@ -8,9 +8,8 @@ are taken: they are unique, and lie inside the set of all gains that settle as f
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from decimal import ROUND_CEILING
 from functools import lru_cache, partial
-from math import isfinite, isnan
+from math import isfinite
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -19,14 +18,14 @@ from jaxtyping import Float64
 from jaxstab.arrays import Numbers
 from jaxstab.conventions import Excitation
 from jaxstab.loop.many import in_floats
-from jaxstab.loop.region import TOLERANCE, wall_region
+from jaxstab.loop.region import TOLERANCE, Tuned, region_of_loop
 from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.filters import Filter, Velocity, as_keywords, behind_measured, given_filters
 from jaxstab.model.loop import LoopParameters, unit_loop
 from jaxstab.motion.bounds import Settling, checked_level, likely_settling, loop_settling_samples
 from jaxstab.motion.response import deviations
 from jaxstab.numbers import checked_number, checked_word
-from jaxstab.shown import exact_text, number_text, shortened, text_with_bound
+from jaxstab.shown import shortened
 from jaxstab.tuning import (
     Axis,
     Best,
@@ -238,7 +237,7 @@ def fastest_calm_wall(
     loop: "HapticLoop", objective: Values, chatter: Values, limit: float, alpha: float | None
 ) -> tuple[tuple[float, float], TuningStatus]:
     """The gains of the least objective found whose chatter is within a limit, and a status."""
-    region = wall_region(loop.in_floats(), TOLERANCE).region.reachable
+    region = region_of_loop(loop.in_floats(), TOLERANCE).region.reachable
     if not len(region.points):
         return (np.nan, np.nan), TuningStatus.NO_STABLE_GAINS
 
@@ -261,38 +260,6 @@ def fastest_calm_wall(
     return wall, TuningStatus.NOT_CALM if np.isnan(wall[0]) else TuningStatus.SCANNED
 
 
-class OptimalWall(NamedTuple):
-    """The best wall in SI units, and what exactly these gains achieve.
-
-    ``radius`` is the spectral radius of exactly these gains, proved to within ``radius_error``.
-    ``chatter`` is how far an encoder can drive the position, in m, proved, if one is given.
-
-    Example:
-        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-        >>> best = loop.tune("radius")
-        >>> print(f"K = {best.stiffness:.0f} N/m, B = {best.damping:.1f} N s/m, {best.status.name}")
-        K = 7297 N/m, B = 40.1 N s/m, TRIPLE_ROOT
-    """
-
-    stiffness: float
-    damping: float
-    radius: float
-    radius_error: float
-    settling_time: float
-    status: TuningStatus
-    chatter: float = np.nan
-
-    def __repr__(self) -> str:
-        wall = f"K = {exact_text(self.stiffness)} N/m at B = {exact_text(self.damping)} N s/m"
-        lines = [
-            f"OptimalWall: {wall} ({self.status.words})",
-            f"  spectral radius  {text_with_bound(self.radius, self.radius_error)}",
-            f"  settling time    {number_text(self.settling_time, 6, unit='s')}",
-            f"  encoder chatter  {number_text(self.chatter, 3, ROUND_CEILING, 'm')}",
-        ]
-        return "\n".join(lines[: 3 if isnan(self.chatter) else 4])
-
-
 def optimal_wall(
     loop: "HapticLoop",
     goal: Literal["radius", "settling"],
@@ -301,7 +268,7 @@ def optimal_wall(
     excitation: Excitation,
     encoder: float | None,
     chatter: float | None,
-) -> OptimalWall:
+) -> Tuned:
     """Return the wall that comes to rest fastest: ``HapticLoop.tune``."""
     slower = 64  # than the fastest wall: how slow calm walls are looked for at first
     limit, step = np.inf, 0.0
@@ -351,14 +318,14 @@ def optimal_wall(
                 break
         reached = float(moved(*wall)) if np.isfinite(wall[0]) else np.nan
     if np.isnan(wall[0]):
-        return OptimalWall(np.nan, np.nan, np.nan, np.inf, np.inf, status)
+        return Tuned(np.nan, np.nan, np.nan, np.inf, status, np.inf)
     gains = loop.stiffness(wall[0]) if given is None else given, loop.damping(wall[1])
     radius = loop.spectral_radius(*gains)
     settling = np.nan  # of a velocity that is measured, the radius alone is known
     if loop.velocity is None or behind_measured(loop.velocity) is None:
         found = loop.settling_time(*gains, level=level, excitation=excitation)
         settling = float(found.value)
-    return OptimalWall(*gains, float(radius.value), float(radius.error), settling, status, reached)
+    return Tuned(*gains, float(radius.value), float(radius.error), status, settling, reached)
 
 
 @lru_cache(maxsize=16)

@@ -4,6 +4,7 @@ from .device import Mode as Mode
 from .double_double import DoubleDouble as DoubleDouble
 from .filters import Filter as Filter
 from .filters import Velocity as Velocity
+from .gain import Gain as Gain
 from .linear_loop import characteristic_polynomial as characteristic_polynomial
 from .linear_loop import companion_matrix as companion_matrix
 from .linear_loop import polynomial_degree as polynomial_degree

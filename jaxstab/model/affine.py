@@ -32,6 +32,7 @@ from jaxstab.model.balls import (
     Plant,
     Triple,
     ball_loop,
+    ball_triple,
     in_fractions,
     plant_in_balls,
 )
@@ -195,6 +196,17 @@ def _weights(whole: Triple, pivot: int) -> "list[arb]":
     """The weights of base and gains in the leading coefficient of p(z), over that of one part."""
     leading = [part.leading if part.degree == whole.degree else flint.arb(0) for part in whole]
     return [value / leading[pivot] for value in leading]
+
+
+@dataclass(frozen=True)
+class WallParts(AffineParts):
+    """The parts of a wall on a held device."""
+
+    loop: "LoopParameters"
+
+    def triple(self) -> Triple:
+        """The parts of p(z)."""
+        return ball_triple(self.loop)
 
 
 @dataclass(frozen=True)

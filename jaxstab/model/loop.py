@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 from functools import lru_cache, wraps
 from itertools import product
 from math import inf, ulp
-from typing import Any, ClassVar, ParamSpec, TypeVar
+from typing import Any, ClassVar, ParamSpec, Self, TypeVar
 
 import numpy as np
 
@@ -217,7 +217,7 @@ class LoopParameters:
         loop = self.in_floats()
         return linear_loop(loop, loop._units)
 
-    def in_floats(self) -> "LoopParameters":
+    def in_floats(self) -> Self:
         """The loop in plain numbers; TypeError if JAX traces it, or fields are arrays."""
         refuse_arrays(self)
         if not is_any_jax(self):

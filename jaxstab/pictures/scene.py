@@ -29,7 +29,7 @@ from matplotlib.lines import Line2D
 
 from jaxstab.conventions import Verdict
 from jaxstab.guard import Guard
-from jaxstab.loop import Contact, ContactKind, HapticLoop, WallRegion
+from jaxstab.loop import Contact, ContactKind, HapticLoop, Region
 from jaxstab.loop.jitter import MovingLoop
 from jaxstab.motion.bounds import likely_settling
 from jaxstab.pictures.style import (
@@ -430,7 +430,7 @@ def _gains_text(
 
 
 def _draw_chatter(
-    panel: Axes, loop: HapticLoop, region: WallRegion, encoder: Encoder, units: Units
+    panel: Axes, loop: HapticLoop, region: Region, encoder: Encoder, units: Units
 ) -> list[Level]:
     """Draw lines of equal bounds of the chatter that the encoder's resolution causes."""
     drawn = 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0  # amplitudes that are drawn, in counts
@@ -443,11 +443,11 @@ def _draw_chatter(
     return _draw_levels(panel, (stiffness, damping, counts), words, label, PLUM, "dashed")
 
 
-def _columns_and_rows(region: WallRegion, count: int) -> Floats:
+def _columns_and_rows(region: Region, count: int) -> Floats:
     return np.linspace(region.outline.min(axis=0), region.outline.max(axis=0), count).T
 
 
-def _draw_settling(panel: Axes, loop: HapticLoop, region: WallRegion) -> list[Level]:
+def _draw_settling(panel: Axes, loop: HapticLoop, region: Region) -> list[Level]:
     """Draw lines of equal settling time to 2 %, in ms."""
     stiffness, damping = _columns_and_rows(region, 64)
     walls = stiffness[None, :], damping[:, None]

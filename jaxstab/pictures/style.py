@@ -30,14 +30,14 @@ from jaxstab.loop import (
     Contact,
     ContactKind,
     FrequencyMargins,
-    GainRegion,
     HapticLoop,
-    Loop,
-    WallRegion,
+    Region,
 )
+from jaxstab.loop.gains import TwoGains
 from jaxstab.loop.jitter import MovingLoop
 from jaxstab.model.filters import given_filters
 from jaxstab.region import StableRegion
+from jaxstab.region.stable_set import DIGITS
 from jaxstab.shown import number_text
 
 Floats = NDArray[np.float64]
@@ -220,10 +220,10 @@ def _box(text: Annotation, place: _Place) -> Bbox:
 _SIZE = 5.0, 3.6  # inches
 STIFFNESS_LABEL, DAMPING_LABEL = "stiffness K (N/m)", "damping B (N s/m)"
 
-Region = StableRegion | WallRegion | GainRegion
+AnyRegion = StableRegion | Region
 
 
-def closed_outline(region: Region) -> Floats:
+def closed_outline(region: AnyRegion) -> Floats:
     """Return the outline of a region, with NaN between two loops."""
     plain = region if isinstance(region, StableRegion) else region.region
     jumps = np.flatnonzero(np.asarray(plain.branch) < 0)
@@ -233,7 +233,7 @@ def closed_outline(region: Region) -> Floats:
 
 
 def draw_stable(
-    panel: Axes, region: Region, label: str = "stable", fill: str = SKY, edge: str = BLUE
+    panel: Axes, region: AnyRegion, label: str = "stable", fill: str = SKY, edge: str = BLUE
 ) -> None:
     """Fill the stable set."""
     outline = closed_outline(region).T
@@ -241,14 +241,14 @@ def draw_stable(
     panel.plot(*outline, color=edge, lw=1.2)
 
 
-def draw_islands(panel: Axes, islands: Sequence[Region]) -> None:
+def draw_islands(panel: Axes, islands: Sequence[AnyRegion]) -> None:
     """Fill islands: stable sets that are not connected to small gains."""
     for island in islands:
         label = "stable, not connected to zero gains" if island is islands[0] else ""
         draw_stable(panel, island, label, PURPLE, PURPLE)
 
 
-def plot_region(region: Region, ax: Axes | None = None) -> Axes:
+def plot_region(region: AnyRegion, ax: Axes | None = None) -> Axes:
     """Draw a region on axes, or on new ones: ``region.plot``; ValueError if it is empty."""
     if not region.components:
         raise ValueError(
@@ -261,10 +261,9 @@ def plot_region(region: Region, ax: Axes | None = None) -> Axes:
             _draw_map(panel, region.main, region.islands)
     draw_islands(panel, region.islands)
     labels = ALPHA_LABEL, BETA_LABEL
-    if isinstance(region, WallRegion):
-        labels = STIFFNESS_LABEL, DAMPING_LABEL
-    elif isinstance(region, GainRegion):
-        labels = region.names.labels
+    if isinstance(region, Region):
+        first, second = (f"{gain.name} " * bool(gain.symbol) + gain.label for gain in region.names)
+        labels = first, second
         _leave_out_negative(panel, region.loop)
     panel.set(xlabel=labels[0], ylabel=labels[1])
     raise_powers([panel])
@@ -296,7 +295,7 @@ def plot_moving(
     return np.concatenate([proved, unstable])
 
 
-def _draw_map(panel: Axes, main: Region, islands: Sequence[Region]) -> None:
+def _draw_map(panel: Axes, main: AnyRegion, islands: Sequence[AnyRegion]) -> None:
     """Let the main component fill the axes, and draw it with its islands in a small map."""
     room = np.array([0.65, 0.35])  # of the main component, beside it for the map and the legend
     map = 0.72, 0.12, 0.26, 0.36  # of the axes: where islands are drawn
@@ -312,17 +311,16 @@ def _draw_map(panel: Axes, main: Region, islands: Sequence[Region]) -> None:
     panel.set(xlim=(left, right), ylim=(bottom, top))
 
 
-def plot_loop(loop: HapticLoop | Loop, ax: Axes | None = None) -> Axes:
+def plot_loop(loop: TwoGains, ax: Axes | None = None) -> Axes:
     """Draw the stable gains of a loop, the stiffest wall, and its linear rule: ``loop.plot``."""
     legend_room = 0.25  # of the height of a loop's picture, above it
     region = loop.region()
     panel = plot_region(region, ax)
-    if isinstance(region, WallRegion):
-        word, largest = "stiffest", region.limits()[:2]
-    else:
-        word, largest = "largest", region.reachable.extremes[0]
-    if isinstance(loop, HapticLoop) or np.dot(loop._chart.shares, largest) < 1.0:
-        words = plain(f"{word}: {region.names.at_largest_stiffness(largest)}")
+    largest = region.reachable._printed[0]
+    if np.dot(loop._chart.shares, largest) < 1.0:
+        first, second = region.names
+        text = first.limit_text(largest[0], second, largest[1], DIGITS)
+        words = plain(f"{first.word or first.sense}: {text}")
         panel.plot(*largest, ">", color=ORANGE, mec=BLACK, ms=8, label=words)
     if isinstance(loop, HapticLoop):
         draw_linear_rule(panel, loop)
@@ -334,7 +332,7 @@ def plot_loop(loop: HapticLoop | Loop, ax: Axes | None = None) -> Axes:
     return panel
 
 
-def _leave_out_negative(panel: Axes, loop: Loop) -> None:
+def _leave_out_negative(panel: Axes, loop: TwoGains) -> None:
     """Cover the coordinates beyond infinite gains, or beyond the one of the chart that is 0."""
     chart, window = loop._chart, (panel.get_xlim(), panel.get_ylim())
     x, y = np.meshgrid(*(np.linspace(*ends, 200) for ends in window))

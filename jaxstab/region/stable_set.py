@@ -1,9 +1,8 @@
 """The stable set in an (alpha, beta) plane as a value: outline, corners, limits and distances."""
 
 from dataclasses import dataclass
-from decimal import ROUND_FLOOR
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int
@@ -11,12 +10,13 @@ from jaxtyping import Bool, Float64, Int
 from jaxstab.arrays import Array, Numbers, float_arrays, namespace
 from jaxstab.conventions import Status
 from jaxstab.model import checked_gain, require_x64
+from jaxstab.model.gain import ALPHA_BETA, Gain
 from jaxstab.numbers import require_together, without_noise
 from jaxstab.region import measures
 from jaxstab.region.curve import Curve
 from jaxstab.region.measures import Outline, loop_ends, polygon_area
 from jaxstab.region.pieces import NO_BRANCH
-from jaxstab.shown import number_text, stable_pair
+from jaxstab.shown import stable_pair
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,48 +26,15 @@ Shown = TypeVar("Shown", bound="ShownRegion")
 
 # How a region presents itself: four lines of text, and a picture.
 
-_DIGITS = 5
-
-
-class GainNames(NamedTuple):
-    """The names of stiffness and damping of a plane, and their units."""
-
-    stiffness: str = "alpha"
-    damping: str = "beta"
-    stiffness_unit: str = ""
-    damping_unit: str = ""
-
-    @property
-    def labels(self) -> tuple[str, str]:
-        """Of the axes of a picture."""
-        sides = (self.stiffness, self.stiffness_unit), (self.damping, self.damping_unit)
-        first, second = (f"{name} ({unit})" if unit else name for name, unit in sides)
-        return first, second
-
-    def at_largest_stiffness(self, point: Any) -> str:
-        """Return the text of a point, the stiffness first and rounded down."""
-        return f"{self._gain(0, point, floors=True)} at {self._gain(1, point)}"
-
-    def at_largest_damping(self, point: Any) -> str:
-        """Return the text of a point, the damping first and rounded down."""
-        return f"{self._gain(1, point, floors=True)} at {self._gain(0, point)}"
-
-    def _gain(self, index: int, point: Any, *, floors: bool = False) -> str:
-        rounding = {"rounding": ROUND_FLOOR} if floors else {}
-        text = number_text(point[index], _DIGITS, unit=self[2 + index], **rounding)
-        return f"{self[index]} = {text}"
+DIGITS = 5
 
 
 class ShownRegion:
     """A region that shows itself; the class supplies its components and its extreme points."""
 
-    names = GainNames()
-
-    @property
-    def extremes(self) -> tuple[Any, Any]:
-        """The points of the largest stiffness and of the largest damping."""
-        region: Any = self
-        return region.max_alpha, region.max_beta
+    if TYPE_CHECKING:
+        names: Any  # tuple[Gain, Gain] of its coordinates
+        _printed: Any  # the points of the largest of each, stable as they are printed
 
     @property
     def reachable(self: Shown) -> Shown:
@@ -83,15 +50,18 @@ class ShownRegion:
 
     def __repr__(self) -> str:
         """Return status, extremes and islands in four lines; limits are rounded down."""
-        region: Any = self  # a StableRegion or a WallRegion
+        region: Any = self
         name = type(self).__name__
         if not region.components:
             return f"{name}: {region.status.words}"
-        largest = region.main or region.components[0]
-        islands = [printed_extremes(island)[0] for island in region.islands]
-        head = f"{name} ({self.names.stiffness}, {self.names.damping}): {region.status.words}"
-        is_main, extremes = region.main is not None, printed_extremes(largest)
-        return limits_text(head, self.names, extremes, islands, is_reachable=is_main)
+        symbols = ", ".join(gain.symbol or gain.name for gain in self.names)
+        return limits_text(
+            f"{name} ({symbols}): {region.status.words}",
+            self.names,
+            (region.main or region.components[0])._printed,
+            [island._printed[0] for island in region.islands],
+            is_reachable=region.main is not None,
+        )
 
     def _repr_html_(self) -> str:
         from jaxstab.pictures.style import html_of
@@ -113,47 +83,47 @@ class ShownRegion:
         return plot_region(region, ax)
 
 
-def printed_extremes(region: Any, digits: int = _DIGITS) -> tuple[Any, Any]:
-    """The points of the largest stiffness and damping of a region, stable as they are printed."""
+def printed_extremes(region: "StableRegion", digits: int = DIGITS) -> tuple[Any, Any]:
+    """The points of the largest alpha and beta of a region, stable as they are printed."""
     (alpha, at_alpha), (beta, largest_beta) = (
         without_noise(gains, float(np.abs(gains).max())).tolist()
         for gains in np.transpose(region.extremes)
     )
     aside = 1e-6 * max(abs(alpha), abs(at_alpha))
 
-    def is_stable(stiffness: float, damping: float) -> bool:
-        return bool(region._is_stable(stiffness or aside, damping))  # an axis may be the edge
+    def is_stable(alpha: float, beta: float) -> bool:
+        return region.curve.is_stable((alpha or aside, beta))  # an axis may be the edge
 
     both = digits, digits
     rows, columns = (partial(region._intervals_at, axis=axis) for axis in (1, 0))
     stiffest = stable_pair(alpha, beta, both, is_stable, rows)
-    turned = stable_pair(largest_beta, at_alpha, both, lambda b, k: is_stable(k, b), columns)
+    turned = stable_pair(largest_beta, at_alpha, both, lambda b, a: is_stable(a, b), columns)
     return stiffest, turned[::-1]
 
 
 def limits_text(
     head: str,
-    names: GainNames,
-    extremes: tuple[Any, Any],
+    gains: tuple[Gain, Gain],
+    points: tuple[Any, Any],
     islands: list[Any],
     *,
     is_reachable: bool,
 ) -> str:
-    """Return four lines: a head, the two extreme points, and the stiffest point of each island."""
-    most_islands = 2  # that are described
-    stiffest, most_damped = extremes
-    described = [names.at_largest_stiffness(point) for point in islands]
+    """Return four lines: a head, the two extreme points, and the first extreme of each island."""
+    most_islands, (first, second), (one, two) = 2, gains, points  # islands that are described
+    words = first.word or first.sense, second.word or second.sense
+    described = [first.limit_text(own[0], second, own[1], DIGITS) for own in islands]
     if len(islands) > most_islands:
         described[most_islands:] = ["..."]
-    return "\n".join(
-        [
-            head + ("" if is_reachable else "; small gains are not stable"),
-            f"  stiffest     {names.at_largest_stiffness(stiffest)}",
-            f"  most damped  {names.at_largest_damping(most_damped)}",
-            f"  islands      {len(islands) or 'none found'}"
-            + (f", the stiffest of each: {'; '.join(described)}" if islands else ""),
-        ]
-    )
+    found = f", the {words[0]} of each: {'; '.join(described)}" if islands else ""
+    rows = [
+        (words[0], first.limit_text(one[0], second, one[1], DIGITS)),
+        (words[1], second.limit_text(two[1], first, two[0], DIGITS)),
+        ("islands", f"{len(islands) or 'none found'}{found}"),
+    ]
+    width = max(len(word) for word, _ in rows)
+    lines = [f"  {word:<{width}}  {text}" for word, text in rows]
+    return "\n".join([head + ("" if is_reachable else "; small gains are not stable"), *lines])
 
 
 # What is known about a stable region.
@@ -288,6 +258,8 @@ class StableRegion(ShownRegion):
         [[0.0753, -0.4745]]
     """
 
+    names = ALPHA_BETA
+
     curve: Curve
     outline: Outline
     status: RegionStatus
@@ -375,8 +347,14 @@ class StableRegion(ShownRegion):
         """
         return measures.area(self.curve, self.outline)
 
-    def _is_stable(self, alpha: float, beta: float) -> bool:
-        return self.curve.is_stable((alpha, beta))
+    @property
+    def extremes(self) -> tuple[Array, Array]:
+        """The points of the largest alpha and of the largest beta."""
+        return self.max_alpha, self.max_beta
+
+    @cached_property
+    def _printed(self) -> tuple[Any, Any]:
+        return printed_extremes(self)
 
     def _intervals_at(self, value: float, axis: int) -> np.ndarray:
         ends = measures.interval_ends(self.curve, self.outline, np.array([value]), axis=axis)[0]

@@ -105,12 +105,15 @@ class Quantity:
         return rounded_text(value, digits, rounding, factor=factor)
 
 
+LIMIT_DIGITS = _LIMIT_DIGITS, Quantity.digits  # of a limit, and of the other gain there
+
+
 def printed_pair(limit: float, other: float, *known: Any) -> tuple[float, float]:
     """A limit and the other gain in the digits that are printed, a stable pair: ``stable_pair``.
 
     NaN where no such pair is found; infinite limits are as they were.
     """
-    pair = stable_pair(limit, other, (_LIMIT_DIGITS, Quantity.digits), *known)
+    pair = stable_pair(limit, other, LIMIT_DIGITS, *known)
     if not isfinite(limit):
         return pair
     first, second = (n.shown if isinstance(n, Printed) else nan for n in pair)

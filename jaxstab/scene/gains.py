@@ -24,8 +24,9 @@ from jaxstab import loop as doors
 from jaxstab import tables as t
 from jaxstab.conventions import Verdict
 from jaxstab.exact import LineStatus, stable_line
-from jaxstab.loop import Gain, Loop
+from jaxstab.loop import Loop
 from jaxstab.model.affine import affine_triple
+from jaxstab.model.gain import Gain
 from jaxstab.numbers import without_noise
 from jaxstab.rounding import EPS
 from jaxstab.scene.answers import GainAnswer, basis_of
@@ -237,7 +238,7 @@ class GainScene:
         of_device = {name: tables[name] for name in beside if name in tables}
         held = _single(Scene.from_table(of_device)) if beside else None
         (loop, (low, high)), units = _loop(table, held), held.units if held else Units.LINE
-        first, second = (gain._replace(unit=units.unit(gain.unit)) for gain in loop.gains)
+        first, second = (replace(gain, unit=units.unit(gain.unit)) for gain in loop.gains)
         every = f"{low:g} to {high:g} N/m" if low < high else f"{high:g} N/m"
         words = loop.words.replace(f"{high:g} N/m", every)
         loop = replace(loop, gains=(first, second), words=words)

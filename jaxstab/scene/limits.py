@@ -6,23 +6,32 @@ printed as a stable pair, proved. ``scene_limits`` gives those of walls beside t
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from decimal import ROUND_CEILING, ROUND_FLOOR
 from functools import partial
 from itertools import product
 from math import inf, isfinite, isnan, nan
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from jaxstab import paper
 from jaxstab.conventions import Verdict
 from jaxstab.exact import LineStatus, StableLine
-from jaxstab.exact.line import End
-from jaxstab.loop import Gain, Gains, HapticLoop, WallLimits
+from jaxstab.loop import Gains, HapticLoop, Limits
+from jaxstab.loop.gains import TwoGains
+from jaxstab.loop.region import ABOVE_0, other_gain, printed_limit
 from jaxstab.model import Velocity
+from jaxstab.model.gain import Gain
 from jaxstab.region import RegionStatus
 from jaxstab.scene import loops
-from jaxstab.scene.answers import Answer, GainAnswer, Quantity, basis_of, formats_of, printed_pair
+from jaxstab.scene.answers import (
+    LIMIT_DIGITS,
+    Answer,
+    GainAnswer,
+    Quantity,
+    basis_of,
+    formats_of,
+    printed_pair,
+)
 from jaxstab.scene.scene import Scene, Units
 from jaxstab.shown import Printed, exact_text, table_text
 
@@ -33,11 +42,11 @@ _SEE_BELOW = " (all hands: see below)"
 class StableGains:
     """The stable gains of a loop, and of others beside it, times a factor of safety."""
 
-    loop: Any  # of two gains
+    loop: TwoGains
     safety: float = 1.0
-    besides: tuple[Any, ...] = ()  # loops for which rows are to be stable, too
+    besides: tuple[TwoGains, ...] = ()  # loops for which rows are to be stable, too
     units: Units = Units.LINE
-    lowest: ClassVar[float] = 0.0  # intervals below are left out
+    are_walls: bool = False  # with intervals below 0, beside the linear rule
 
     @property
     def certainty(self) -> str | None:
@@ -45,9 +54,8 @@ class StableGains:
         return None
 
     def verdict(self, first: float, second: float) -> Verdict | str:
-        """The verdict on two gains."""
-        names = (gain.name for gain in self.loop.gains)
-        return Verdict(int(self.loop.verdict(**dict(zip(names, (first, second), strict=True)))))
+        """The verdict on two gains; of a device that nothing holds it may be but for a drift."""
+        return loops.verdict_on(self.loop, first, second)
 
     @property
     def formats(self) -> dict[str, Quantity]:
@@ -65,14 +73,15 @@ class StableGains:
 
     def found(self, own: Gain) -> tuple[float, float]:
         """The limit of a gain, and the other gain there; RuntimeError where it is not resolved."""
-        limits = self.loop.limits()
-        if limits.status == RegionStatus.UNRESOLVED:
+        region = self.loop.region()
+        if region.status == RegionStatus.UNRESOLVED:
             raise RuntimeError(
                 "the stable region was not resolved; change one value a little, or ask for the "
                 "intervals of one gain at the other."
             )
-        limit = limits[self.loop.gains.index(own)]
-        return limit.value, limit.at
+        axis = self.loop.gains.index(own)
+        point = region.reachable.limit_points[axis]
+        return float(point[axis]), float(point[1 - axis])
 
     def limit(self, own: Gain, value: float, at: float) -> GainAnswer:
         """A limit of a gain times the safety, and the other gain there, as a stable pair."""
@@ -81,42 +90,28 @@ class StableGains:
         names = f"{own.sense}_{own.name}", f"at_{other.name}"
         if value == inf:
             return GainAnswer({names[0]: value}, self.formats)
-
-        def row(beside: float) -> list[tuple[float, float]]:  # of which the upper ends are tried
-            ends = inner_ends(self.loop.intervals(**{other.name: beside})) if is_largest else []
-            below = ((low, min(high, value)) for low, high in ends)
-            return [(low, high) for low, high in below if abs(value - high) < 0.01 * abs(value)]
-
-        way, allows = ROUND_FLOOR if is_largest else ROUND_CEILING, partial(self.is_stable, own)
-
-        def printed(share: float) -> tuple[float, float]:
-            """The pair that is printed for a value inside of the limit by a share of it."""
-            inside = value - share * abs(value) if is_largest else value + share * abs(value)
-            is_limit = share == 0.0 and self.safety == 1.0
-            beside = at if is_limit else self.beside(own, inside, at)
-            return printed_pair(inside, beside, allows, row, way)
-
-        # Next to a corner, or below a narrow one, the other gain of the limit may not be stable.
-        shares = (0.0, 2e-4, 1e-2, 0.1) if isfinite(value) else ()
-        pairs = map(printed, shares)
-        pair = next((pair for pair in pairs if isfinite(pair[0])), (nan, nan))
-        is_proved = isfinite(pair[0])
-        words = self.certainty if is_proved else "no pair is proved"
-        if value == 0.0 and not (is_proved or is_largest):
-            pair, words, is_proved = (Printed(0.0, "above 0"), nan), "0 itself is not stable", True
-        if isnan(value):
-            words = None
+        found = printed_limit(
+            self.loop,
+            self.loop.gains.index(own),
+            value,
+            at,
+            LIMIT_DIGITS,
+            is_stable=partial(self.is_stable, own),
+            beside=partial(self.beside, own),
+            is_limit=self.safety == 1.0,
+        )
+        pair, words = (nan, nan), None if isnan(value) else "no pair is proved"
+        if found and found[0].text == ABOVE_0:
+            pair, words = (found[0], nan), "0 itself is not stable"
+        elif found:
+            pair, words = (found[0].shown, found[1].shown), self.certainty
         values: dict[str, Any] = dict(zip(names, pair, strict=True))
-        return GainAnswer(values | ({"certainty": words} if words else {}), self.formats, is_proved)
+        told = {"certainty": words} if words else {}
+        return GainAnswer(values | told, self.formats, is_stable=found is not None)
 
     def beside(self, own: Gain, value: float, at: float) -> float:
         """The other gain: a given one, or one between the ends of the nearest stable interval."""
-        line = self.loop.intervals(**{own.name: value})
-        if not line.intervals or line.holding(at):
-            return at
-        nearest = min(line.intervals, key=lambda ends: max(ends[0].value - at, at - ends[1].value))
-        low, high = (max(end.value, 0.0) for end in nearest)
-        return 0.5 * (low + min(high, 3.0 * low + 1.0))
+        return other_gain(self.loop, self.loop.gains.index(own), value, at)
 
     def row(self, fixed: Gain, value: float, around: float = nan) -> dict[str, Any]:
         """The stable values of the other gain: first those around one, or small ones."""
@@ -124,9 +119,18 @@ class StableGains:
         lines = [loop.intervals(**{fixed.name: value}) for loop in every]
         found = stable_intervals(lines, self.safety, around)
         least = 0.0 if own.sense == "least" else -inf  # a mass is not negative
-        found = [(max(low, least), high) for low, high in found if high > self.lowest]
+        found = [(max(low, least), high) for low, high in found if self.are_walls or high > 0.0]
         first, *others = found or [(nan, nan)]
-        return {f"{own.name}_limits": first, f"other_{own.name}": numbered(others)}
+        values = {f"{own.name}_limits": first, f"other_{own.name}": numbered(others)}
+        has_rule = self.are_walls and fixed.name == "damping" and loops.is_plain(self.loop)
+        return values | ({"linear_rule_stiffness": self.linear_rule(value)} if has_rule else {})
+
+    def linear_rule(self, damping: float) -> float:
+        """The largest stiffness of the linear rule at a damping of a wall."""
+        loop: Any = self.loop
+        beta, delay = loop.beta(damping), loop.delay_samples
+        limit = paper.linear_alpha_limit(beta, delta=loop.delta, delay=delay)
+        return float(self.safety * loop.stiffness(float(limit)))
 
     def at(self, fixed: Gain, value: float | None) -> GainAnswer | None:
         """The row at a given value, if there is one, with that."""
@@ -169,7 +173,7 @@ def stable_intervals(
         )
     common = [(-inf, inf)]
     for line in lines:
-        pairs = product(common, inner_ends(line))
+        pairs = product(common, line.inner)
         common = [(max(a, c), min(b, d)) for (a, b), (c, d) in pairs if max(a, c) <= min(b, d)]
     scaled = [inwards(low, high, safety) for low, high in common]
     scaled = [(low, high) for low, high in scaled if low <= high] or [(nan, nan)]
@@ -177,16 +181,6 @@ def stable_intervals(
     small = [k for k, (low, high) in enumerate(scaled) if low <= 0.0 < high]
     (first,) = (holding or small or [len(scaled) - 1])[:1]
     return [scaled[first], *scaled[:first], *scaled[first + 1 :]]
-
-
-def inner_ends(line: StableLine) -> list[tuple[float, float]]:
-    """The ends of the intervals of a line, within their errors."""
-    return [(_inner(low, 1.0), _inner(high, -1.0)) for low, high in line.intervals]
-
-
-def _inner(end: End, way: float) -> float:
-    """An end, or the next number inside that is proved; 0 where it cannot be told from that."""
-    return 0.0 if abs(end.value) <= end.error else end.value + way * end.error
 
 
 def inwards(low: float, high: float, safety: float) -> tuple[float, float]:
@@ -282,35 +276,6 @@ def stable_in_words(
 # The walls of a scene.
 
 
-class StableWalls(StableGains):
-    """The stable walls of a loop, those that drift among them, beside the linear rule."""
-
-    lowest = -inf
-
-    def verdict(self, first: float, second: float) -> Verdict | str:
-        """The verdict on a wall."""
-        return loops.wall_code(self.loop, Gains(first, second))
-
-    def found(self, own: Gain) -> tuple[float, float]:
-        """The limit of a gain, and the other gain there; RuntimeError where it is not resolved."""
-        walls = loops.wall_region(self.loop).reachable
-        return walls.stiffest if own == self.loop.gains[0] else walls.most_damped[::-1]
-
-    def row(self, fixed: Gain, value: float, around: float = nan) -> dict[str, Any]:
-        """The stable values of the other gain, and the stiffness of the linear rule."""
-        has_rule = loops.is_plain(self.loop) and fixed.name == "damping"
-        rule = {"linear_rule_stiffness": self.linear_rule(value)} if has_rule else {}
-        return super().row(fixed, value, around) | rule
-
-    def linear_rule(self, damping: float) -> float:
-        """The largest stiffness of the linear rule at a damping."""
-        loop = self.loop
-        limit = paper.linear_alpha_limit(
-            loop.beta(damping), delta=loop.delta, delay=loop.delay_samples
-        )
-        return float(self.safety * loop.stiffness(float(limit)))
-
-
 def scene_limits(scene: Scene) -> GainAnswer:
     """The largest stiffness and damping, the linear rule, the passive limit, all hands.
 
@@ -323,7 +288,10 @@ def scene_limits(scene: Scene) -> GainAnswer:
     if not scene.controller.has_one_delay:
         return _over_delays(scene)
     loop, wanted = loops.loop_of(scene), scene.wanted
-    region, stable = loops.wall_region(loop), StableWalls(loop, wanted.safety or 1.0)
+    region, stable = (
+        loops.wall_region(loop),
+        StableGains(loop, wanted.safety or 1.0, are_walls=True),
+    )
     limits, (of_k, of_b) = region.limits(), loop.gains
     is_any_stable = isfinite(limits.stiffness)  # with K >= 0 and B >= 0
     has_rules, is_reached = loops.is_plain(loop), limits.is_reachable or region.is_empty
@@ -342,9 +310,9 @@ def scene_limits(scene: Scene) -> GainAnswer:
             "most_damped": stable.limit(of_b, *limits[2:4]),
             "reached": None if is_reached else "small gains are not stable",
             "islands": numbered(map(GainAnswer, islands)),
-            "passive": _passive(stable) if has_rules else None,
+            "passive": _passive(loop, stable) if has_rules else None,
             "linear_rule": _linear_rule(stable, limits) if has_rules and is_any_stable else None,
-            "windows": _other_windows(stable) if scene.controller.velocity is None else {},
+            "windows": _other_windows(loop, stable) if scene.controller.velocity is None else {},
             "at_given_damping": stable.at(of_b, wanted.at_damping),
             "at_given_stiffness": stable.at(of_k, wanted.at_stiffness),
             "walls": {
@@ -354,7 +322,7 @@ def scene_limits(scene: Scene) -> GainAnswer:
     )
 
 
-def _around(scene: Scene, stable: StableWalls, wall: Gains) -> GainAnswer:
+def _around(scene: Scene, stable: StableGains, wall: Gains) -> GainAnswer:
     """The limits around a wall; other hands are asked only where it is stable at the lowest."""
     found = stable.around(wall._asdict())
     if not found.is_stable or loops.hands_of(scene) is None:
@@ -407,7 +375,7 @@ def _over_delays(scene: Scene) -> GainAnswer:
 # The rules of small gains and of passive walls, and other estimators.
 
 
-def _linear_rule(stable: StableWalls, limits: WallLimits) -> GainAnswer:
+def _linear_rule(stable: StableGains, limits: Limits[float]) -> GainAnswer:
     stiffness = stable.linear_rule(limits.at_damping)
     exact, words = stable.safety * limits.stiffness, "an approximation for small gains"
     if exact > 0.0:
@@ -422,19 +390,19 @@ def passive_walls(loop: HapticLoop) -> loops.Floats:
     return np.column_stack([loop.stiffness(corners[:, 0]), loop.damping(corners[:, 1])])
 
 
-def _passive(stable: StableWalls) -> GainAnswer:
-    walls = passive_walls(stable.loop)
+def _passive(loop: HapticLoop, stable: StableGains) -> GainAnswer:
+    walls = passive_walls(loop)
     stiffness, damping = walls[np.argmax(walls[:, 0])].tolist() if len(walls) else (0.0, 0.0)
-    allows = partial(stable.is_stable, stable.loop.gains[0])
+    allows = partial(stable.is_stable, loop.gains[0])
     wall = Gains(*printed_pair(stable.safety * stiffness, damping, allows))
     return replace(loops.stiffest_wall(wall), is_stable=True)  # there may be none
 
 
-def _other_windows(stable: StableWalls) -> dict[str, GainAnswer]:
+def _other_windows(loop: HapticLoop, stable: StableGains) -> dict[str, GainAnswer]:
     """The largest stiffness with windows that haptics software uses; unresolved ones left out."""
     answers = {}
     for samples in (10, 20):  # 10 and 20 ms at 1 kHz
-        other = replace(stable.loop, velocity=Velocity.difference(samples))
+        other = replace(loop, velocity=Velocity.difference(samples))
         region = other.region()
         if region.status != RegionStatus.UNRESOLVED:
             found = replace(stable, loop=other).limit(other.gains[0], *region.limits()[:2])

@@ -6,7 +6,6 @@ of them contradicts is proved. For all others a proof is looked for.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import product
 from math import isfinite, isnan, nan
 from operator import add
@@ -17,11 +16,10 @@ from numpy.typing import NDArray
 
 from jaxstab.boxes.search import HandRange
 from jaxstab.conventions import Verdict
-from jaxstab.exact import wall_verdict
-from jaxstab.loop import Gains, HapticLoop, WallRegion
+from jaxstab.loop import Gains, HapticLoop, Region
+from jaxstab.loop.gains import TwoGains
 from jaxstab.model import Device, Mode
 from jaxstab.model import Hand as Arm
-from jaxstab.model.balls import ball_triple
 from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.model.filters import Velocity, given_filters
 from jaxstab.model.plant import DELTA_LIMIT, GAIN_LIMIT, GAMMA_LIMIT
@@ -52,7 +50,7 @@ class OneHand(Answer):
         return replace(super()._quantity(name), digits=Quantity.digits)
 
 
-def wall_region(loop: HapticLoop) -> WallRegion:
+def wall_region(loop: HapticLoop) -> Region:
     """The stable walls of a loop; RuntimeError where the region is not resolved."""
     region = loop.region()
     if region.status == RegionStatus.UNRESOLVED:
@@ -90,9 +88,13 @@ def is_one_mass(scene: Scene) -> bool:
     return not device.modes and device.actuator is None and hand.grip is None
 
 
-def is_plain(loop: HapticLoop) -> bool:
+def is_plain(loop: TwoGains) -> bool:
     """True if the simple rules hold for the loop: one mass, one-sample difference, no filters."""
-    return loop.body is not None and given_filters(**loop.filters) is None
+    return (
+        isinstance(loop, HapticLoop)
+        and loop.body is not None
+        and given_filters(**loop.filters) is None
+    )
 
 
 def hands_of(scene: Scene) -> HandRange | None:
@@ -260,7 +262,7 @@ def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[tuple[WallVerdict, Ha
     is_alone = hands_of(scene) is None
     worst: list[tuple[Any, HapticLoop, float]]  # verdict, loop and radius
     if is_alone and not delays:
-        worst = [(wall_code(loop, gains), loop, nan) for gains in walls]
+        worst = [(verdict_on(loop, *gains), loop, nan) for gains in walls]
     elif is_alone and scene.controller.moves:
         worst = [(loop.verdict(*gains, **delays), loop, nan) for gains in walls]
     else:
@@ -270,7 +272,7 @@ def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[tuple[WallVerdict, Ha
     for gains, (code, held, radius) in zip(walls, worst, strict=True):
         verdict, drifts = code if isinstance(code, str) else Verdict(int(code)), None
         is_unstable = verdict == Verdict.UNSTABLE
-        if is_unstable and verdict_with_drift(held, gains) == BUT_FOR_DRIFT:
+        if is_unstable and verdict_with_drift(held, *gains) == BUT_FOR_DRIFT:
             verdict, drifts, is_unstable = Verdict.UNDECIDED, _DRIFTS, False
         hand, words = None if is_alone else held_by(held, scene), None
         is_range = not is_alone or "delay" in delays
@@ -287,19 +289,19 @@ def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[tuple[WallVerdict, Ha
     return answers
 
 
-def verdict_with_drift(loop: HapticLoop, wall: Gains) -> Verdict | str | None:
-    """Return the verdict on a damper without a spring on a free device; None for another wall."""
-    if wall.stiffness != 0.0 or loop.held_device.static_stiffness() != 0.0:
-        return None
-    triple = partial(ball_triple, loop)
-    code = wall_verdict(triple, 0.0, wall.damping, may_drift=True).verdict
+def verdict_with_drift(loop: TwoGains, first: float, second: float) -> Verdict | str | None:
+    """The verdict on gains without the position, where nothing holds that; None elsewhere."""
+    code = loop._but_for_drift(first, second)
     return BUT_FOR_DRIFT if code == Verdict.STABLE else code
 
 
-def wall_code(loop: HapticLoop, wall: Gains) -> Verdict | str:
-    """The verdict on a wall of one loop."""
-    code = verdict_with_drift(loop, wall)
-    return Verdict(int(loop.verdict(*wall))) if code is None else code
+def verdict_on(loop: TwoGains, first: float, second: float) -> Verdict | str:
+    """The verdict on two gains of one loop."""
+    names = (gain.name for gain in loop.gains)
+    code = verdict_with_drift(loop, first, second)
+    if code is not None:
+        return code
+    return Verdict(int(loop.verdict(**dict(zip(names, (first, second), strict=True)))))
 
 
 def loops_over_delays(scene: Scene) -> list[HapticLoop]:

@@ -41,7 +41,8 @@ import jaxstab
 from jaxstab import tables as t
 from jaxstab.batches import alike
 from jaxstab.conventions import Verdict
-from jaxstab.loop import Gain, HapticLoop, Loop, limits_of
+from jaxstab.loop import HapticLoop, Loop, limits_of
+from jaxstab.model.gain import Gain
 from jaxstab.motion.bounds import SettlingStatus
 from jaxstab.numbers import checked, checked_count, checked_number, has_shape
 from jaxstab.region import RegionStatus
@@ -835,8 +836,10 @@ class _Block:
         }
 
         def tell(answer: str, members: list[int], of: Any) -> None:
-            # The fields of an answer have the order of its variables; of margins the last ones do.
-            values = [of] if answer == "verdict" else of[3:] if answer == "margins" else of
+            # The fields of an answer have the order of its variables.
+            values = [of] if answer == "verdict" else of
+            if answer == "margins":
+                values = of.stiffness_gain, of.damping_gain, of.extra_delay
             for name, own in zip(self.source.answers[answer], values, strict=False):
                 found[name][members] = np.asarray(own)
 
@@ -876,8 +879,8 @@ def _table(block: _Block, columns: Columns, gains: Mapping[str, Any], size: int)
     if WALL in table.dims:
         what = "gains" if block.source.of_gains else "wall"
         labels[WALL] = WALL, np.array([*gains]), f"name of the {what}", "1"
-        for (name, own, _), values in zip(block.source.gains, block.gains, strict=True):
-            labels[f"{what}_{name}"] = WALL, values, f"{name} of the {what}", own
+        for own, values in zip(block.source.gains, block.gains, strict=True):
+            labels[f"{what}_{own.name}"] = WALL, values, f"{own.name} of the {what}", own.unit
     unit = block.source.units.unit
     return table.assign_coords(
         {

@@ -19,10 +19,11 @@ from typing import Any, Literal
 import numpy as np
 
 from jaxstab.conventions import Status, Verdict
-from jaxstab.loop import Gain, Gains, HapticLoop, StableValues, tune_for_all
+from jaxstab.loop import Gains, HapticLoop, StableValues, tune_for_all
 from jaxstab.loop.backwards import range_of
 from jaxstab.loop.tune import settling_times
 from jaxstab.model.filters import dividing_periods, sections_of
+from jaxstab.model.gain import Gain
 from jaxstab.region.curve import bracketed_root
 from jaxstab.scene import loops
 from jaxstab.scene.answers import (
@@ -34,7 +35,7 @@ from jaxstab.scene.answers import (
     rounded_wall,
 )
 from jaxstab.scene.check import settled
-from jaxstab.scene.limits import StableGains, StableWalls, numbered
+from jaxstab.scene.limits import StableGains, numbered
 from jaxstab.scene.scene import Scene, Units, presets
 from jaxstab.shown import Printed, exact_text
 from jaxstab.tuning import TuningStatus
@@ -163,7 +164,8 @@ def _best(
         "for_all_delays": worst.verdict if worst and over_delays else None,
     }
     of_k, edge = loop.gains[0], loop.limits()
-    largest = StableWalls(loop, 1.0).limit(of_k, edge.stiffness, edge.at_damping)  # as printed
+    as_printed = StableGains(loop, are_walls=True)
+    largest = as_printed.limit(of_k, edge.stiffness, edge.at_damping)
     values = {
         **_tuned(loop, gains, encoder),
         "rounded": GainAnswer(_tuned(loop, rounded, encoder)),
@@ -199,17 +201,18 @@ class DesignStatus(Status):
 
 
 @dataclass(frozen=True)
-class _WallsForAll(StableWalls):
+class _WallsForAll(StableGains):
     """The walls that are stable for every hand and mass; the loops are those of the corners.
 
     Limits that are found are those of the first one.
     """
 
+    loop: HapticLoop
     ranges: Mapping[str, Any] = field(default_factory=dict)  # as of ``worst_hand``
 
     def is_stable(self, own: Gain, value: float, other: float) -> bool:
         """True if a wall is proved for every hand and mass."""
-        wall = dict(zip((own.name, self.other(own).name), (value, other), strict=True))
+        wall: Any = dict(zip((own.name, self.other(own).name), (value, other), strict=True))
         return self.loop.worst_hand(**wall, **self.ranges).verdict == Verdict.STABLE
 
     def beside(self, own: Gain, value: float, at: float) -> float:
@@ -243,14 +246,14 @@ def design_loop(scene: Scene) -> GainAnswer:
     def largest(name: str, loop_at: Any, *among: Any) -> GainAnswer:
         """The largest value for all corners: that of the one that limits it, proved for all."""
 
-        def at(value: float) -> StableWalls:
+        def at(value: float) -> StableGains:
             first, *others = (loop_at(scene, value, corner) for corner in corners)
             if hands is None:
-                return StableWalls(first, safety)
-            return _WallsForAll(first, safety, (*others,), ranges=ranges)
+                return StableGains(first, safety, are_walls=True)
+            return _WallsForAll(first, safety, (*others,), are_walls=True, ranges=ranges)
 
         def limit(corner: HapticLoop, value: float) -> float:
-            stiffness, _ = StableWalls(loop_at(scene, value, corner)).found(of_k)
+            stiffness, _ = StableGains(loop_at(scene, value, corner)).found(of_k)
             return -inf if isnan(stiffness) else stiffness
 
         value = among[0]
@@ -265,7 +268,7 @@ def design_loop(scene: Scene) -> GainAnswer:
                 break
         return answer
 
-    stable = StableWalls(loop, safety)
+    stable = StableGains(loop, safety, are_walls=True)
     now: Any = loops.limit_for_all(scene, safety) or stable.limit(of_k, *stable.found(of_k))
     return GainAnswer(
         {
