@@ -114,7 +114,13 @@ class TwoGains(ABC):
 
     @property
     def coordinates(self) -> tuple[Gain, Gain]:
-        """The coordinates in which the stable gains are bounded, and drawn."""
+        """The coordinates in which the stable gains are bounded, and drawn.
+
+        Example:
+            >>> robot = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
+            >>> [gain.label for gain in robot.coordinates]
+            ['1/mass (1/kg)', 'damping/mass (1/s)']
+        """
         if self._chart.are_gains:
             return self.gains
         return self.bounded or _over_leading(self.gains, self._chart)

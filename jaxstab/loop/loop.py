@@ -874,7 +874,13 @@ class HapticLoop(LoopParameters, TwoGains):
 
     @property
     def parts(self) -> WallParts:
-        """The parts of p(z), in balls of the precision that is set."""
+        """The parts of p(z), in balls of the precision that is set.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.parts.triple().degree
+            3
+        """
         return WallParts(self.in_floats())
 
     def _but_for_drift(self, first: float, second: float) -> Verdict | None:

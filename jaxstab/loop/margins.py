@@ -194,6 +194,12 @@ class Margins(NamedTuple):
         kp (N m/rad)     0      3333.3   0 to 6.6666
         kd (N m s/rad)   1.5    24.5     0.15 to 2.45
         both                             0 to 2.3809
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> margins = loop.margins(1000.0, 10.0)
+        >>> margins.stiffness.round(1).tolist(), round(float(margins.stiffness_gain), 3)
+        ([0.0, 20877.1], 20.877)
+        >>> margins.damping.round(3).tolist(), round(float(margins.damping_gain), 3)
+        ([-1.006, 201.013], 20.101)
     """
 
     verdict: Int8[Array, "*grid"]

@@ -96,8 +96,11 @@ class Limits(NamedTuple, Generic[Number]):
           stiffest     K = 70643 N/m at B = 82.549 N s/m
           most damped  B = 202 N s/m at K = 0 N/m
           islands      none found
-        >>> loop.limits().stiffness == loop.limits().first
-        True
+        >>> limits = loop.limits()
+        >>> limits.stiffness == limits.first, limits.at_damping == limits.at_second
+        (True, True)
+        >>> limits.damping == limits.second, limits.at_stiffness
+        (True, 0.0)
         >>> jaxstab.simulated_pd(0.1, step=2e-3, substeps=4).limits()
         Limits: the boundary closes to loops
           largest  kp = 6249.9 N m/rad at kd = 18.75 N m s/rad

@@ -1,7 +1,7 @@
 """The two gains of a loop as data: what users call them, and which value they look for."""
 
 from dataclasses import dataclass
-from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN
+from decimal import ROUND_CEILING, ROUND_FLOOR
 from math import isfinite
 from typing import Literal
 
@@ -32,14 +32,14 @@ class Gain:
         """Its symbol and unit, as at an axis of a picture."""
         return f"{self.symbol or self.name} ({self.unit})".removesuffix(" ()")
 
-    def text(self, value: float, digits: int, rounding: str = ROUND_HALF_EVEN) -> str:
-        """Its symbol and a value in significant digits."""
-        return f"{self.symbol or self.name} = {number_text(value, digits, rounding, self.unit)}"
 
-    def limit_text(self, value: float, other: "Gain", at: float, digits: int) -> str:
-        """Its limit, rounded to the side where gains are stable, and the other gain there."""
-        own = self.text(value, digits, ROUND_FLOOR if self.sense == "largest" else ROUND_CEILING)
-        return f"{own} at {other.text(at, digits)}" if isfinite(value) else own
+def limit_text(own: Gain, value: float, other: Gain, at: float, digits: int) -> str:
+    """The limit of a gain, rounded to the side where gains are stable, and the other gain there."""
+    rounding = ROUND_FLOOR if own.sense == "largest" else ROUND_CEILING
+    text = f"{own.symbol or own.name} = {number_text(value, digits, rounding, own.unit)}"
+    if not isfinite(value):
+        return text
+    return f"{text} at {other.symbol or other.name} = {number_text(at, digits, unit=other.unit)}"
 
 
 WALL = (

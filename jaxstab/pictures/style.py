@@ -36,6 +36,7 @@ from jaxstab.loop import (
 from jaxstab.loop.gains import TwoGains
 from jaxstab.loop.jitter import MovingLoop
 from jaxstab.model.filters import given_filters
+from jaxstab.model.gain import limit_text
 from jaxstab.region import StableRegion
 from jaxstab.region.stable_set import DIGITS
 from jaxstab.shown import number_text
@@ -319,7 +320,7 @@ def plot_loop(loop: TwoGains, ax: Axes | None = None) -> Axes:
     largest = region.reachable._printed[0]
     if np.dot(loop._chart.shares, largest) < 1.0:
         first, second = region.names
-        text = first.limit_text(largest[0], second, largest[1], DIGITS)
+        text = limit_text(first, largest[0], second, largest[1], DIGITS)
         words = plain(f"{first.word or first.sense}: {text}")
         panel.plot(*largest, ">", color=ORANGE, mec=BLACK, ms=8, label=words)
     if isinstance(loop, HapticLoop):

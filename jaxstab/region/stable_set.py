@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float64, Int
 from jaxstab.arrays import Array, Numbers, float_arrays, namespace
 from jaxstab.conventions import Status
 from jaxstab.model import checked_gain, require_x64
-from jaxstab.model.gain import ALPHA_BETA, Gain
+from jaxstab.model.gain import ALPHA_BETA, Gain, limit_text
 from jaxstab.numbers import require_together, without_noise
 from jaxstab.region import measures
 from jaxstab.region.curve import Curve
@@ -112,13 +112,13 @@ def limits_text(
     """Return four lines: a head, the two extreme points, and the first extreme of each island."""
     most_islands, (first, second), (one, two) = 2, gains, points  # islands that are described
     words = first.word or first.sense, second.word or second.sense
-    described = [first.limit_text(own[0], second, own[1], DIGITS) for own in islands]
+    described = [limit_text(first, own[0], second, own[1], DIGITS) for own in islands]
     if len(islands) > most_islands:
         described[most_islands:] = ["..."]
     found = f", the {words[0]} of each: {'; '.join(described)}" if islands else ""
     rows = [
-        (words[0], first.limit_text(one[0], second, one[1], DIGITS)),
-        (words[1], second.limit_text(two[1], first, two[0], DIGITS)),
+        (words[0], limit_text(first, one[0], second, one[1], DIGITS)),
+        (words[1], limit_text(second, two[1], first, two[0], DIGITS)),
         ("islands", f"{len(islands) or 'none found'}{found}"),
     ]
     width = max(len(word) for word, _ in rows)
