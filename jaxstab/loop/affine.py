@@ -212,7 +212,7 @@ class Loop(TwoGains):
             >>> jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4).limits()
             Limits: the boundary closes to loops
               least    mass = 0.015851 kg at damping = 26.701 N s/m
-              least    damping = 26.701 N s/m at mass = 0.01585 kg
+              least    damping = 26.701 N s/m at mass = 0.015851 kg
               islands  none found
         """
         return self.region().limits()

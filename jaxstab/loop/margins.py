@@ -197,9 +197,9 @@ class Margins(NamedTuple):
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
         >>> margins = loop.margins(1000.0, 10.0)
         >>> margins.stiffness.round(1).tolist(), round(float(margins.stiffness_gain), 3)
-        ([0.0, 20877.1], 20.877)
+        ([0.0, 20877.5], 20.878)
         >>> margins.damping.round(3).tolist(), round(float(margins.damping_gain), 3)
-        ([-1.006, 201.013], 20.101)
+        ([-1.006, 201.014], 20.101)
     """
 
     verdict: Int8[Array, "*grid"]

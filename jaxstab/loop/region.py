@@ -104,7 +104,7 @@ class Limits(NamedTuple, Generic[Number]):
         >>> jaxstab.simulated_pd(0.1, step=2e-3, substeps=4).limits()
         Limits: the boundary closes to loops
           largest  kp = 6249.9 N m/rad at kd = 18.75 N m s/rad
-          largest  kd = 24.999 N m s/rad at kp = 0.5 N m/rad
+          largest  kd = 24.999 N m s/rad at kp = 0.125 N m/rad
           islands  none found
         >>> loops = [jaxstab.simulated_pd(0.1, step=step) for step in (1e-3, 2e-3)]
         >>> jaxstab.limits_of(loops).kp.round().tolist()
@@ -619,8 +619,9 @@ def printed_limit(
         return [(low, high) for low, high in below if abs(value - high) < 0.01 * abs(value)]
 
     is_stable = is_stable or allows
-    shares = (0.0, 2.0 * 10.0 ** -digits[0], 1e-2, 0.1) if isfinite(value) else ()
-    for share in shares:
+    for share in (0.0, 1e-5, 2e-4, 1e-2, 0.1) if isfinite(value) else ():
+        if 0.0 < share < 0.5 * 10.0 ** -digits[0]:  # which the digits do not show
+            continue
         inside = value + inwards * share * abs(value)
         near = at if share == 0.0 and is_limit else beside(inside, at)
         pair = stable_pair(inside, near, digits, is_stable, row, way)
