@@ -30,7 +30,6 @@ from jaxstab.scene.answers import (
     Answer,
     Quantity,
 )
-from jaxstab.scene.check import in_short
 from jaxstab.scene.scene import Units
 
 FREE = ["--mass", "1", "--damping", "0", "--sample-time", "0.05", "--delay", "0"]
@@ -487,7 +486,7 @@ def test_what_check_does_not_print_is_not_computed() -> None:
     }
     short = check_walls(Scene.from_table(table), in_full=False)
     whole = check_walls(Scene.from_table(table))
-    assert in_short(short) == in_short(whole)
+    assert short.in_short() == whole.in_short()
     (wall,) = short.walls.values()
     for name in ("distance_to_boundary", "spectral_radius", "damping_ratio", "extra_delay_moving"):
         assert wall.values.get(name) is None

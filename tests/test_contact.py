@@ -26,7 +26,6 @@ from jaxstab.motion import contact as kernel
 from jaxstab.pictures.scene import scene_figure
 from jaxstab.results import ContactKind
 from jaxstab.scene import Scene, check_walls, simulate_contacts
-from jaxstab.scene.check import in_short
 from jaxstab.scene.scene import Contact
 
 PERIOD = 1e-3
@@ -741,7 +740,7 @@ def test_ranges_are_simulated_at_their_lowest_hand_and_longest_delay() -> None:
     soft = simulate_contacts(scene).walls["soft"]
     words = "the longest delay, held constant; hand and device at their lowest values"
     assert soft.contact_is.endswith(words)
-    assert f"; {words})\n" in in_short(check_walls(scene))
+    assert f"; {words})\n" in check_walls(scene).in_short()
     loop = HapticLoop(**HELD, hand_mass=0.1, delay=2e-3, velocity=Velocity.difference(window=0.02))
     runs = loop.contact(
         1000.0, 10.0, push=[1.0, 0.0, 1.0], speed=[0.0, 0.1, 0.1], friction=0.1,
@@ -891,7 +890,7 @@ def test_a_motion_without_an_end_has_no_size() -> None:
     assert 0.0 < wall.penetration < inf
     text = "\n".join(wall.lines())
     assert re.search(r"(?m)^penetration +unlimited$", text)
-    assert wall.in_short(scene.units).startswith("pushed through the wall, whose force stays at ")
+    assert wall.in_words(scene.units).startswith("pushed through the wall, whose force stays at ")
 
 
 @pytest.mark.campaign

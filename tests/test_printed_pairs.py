@@ -23,7 +23,6 @@ from scipy.linalg import expm
 from jaxstab import Velocity, Verdict
 from jaxstab.scene import GainScene, Scene, any_scene, check_walls, design_loop, scene_limits
 from jaxstab.scene import loop_of as scene_loop
-from jaxstab.scene.limits import brief
 
 Pair = dict[str, float]
 FOLDER = Path(__file__).parents[1] / "data" / "scenes"
@@ -50,7 +49,7 @@ def assert_one_pair(answer: Any, pairs: list[tuple[str, Pair]]) -> None:
         outer, _, name = path.rpartition(".")
         if f"{outer}." in paths and name.startswith(("largest_", "least_", "at_")) and value:
             assert float(words.split()[0]) == value, (path, words)
-    limits = [line for line in brief(answer).splitlines() if " at " in line]
+    limits = [line for line in answer.in_short().splitlines() if " at " in line]
     for line in limits:
         if line.startswith(("largest", "least", "for all hands", "island ")):
             (said,) = re.findall(rf" {NUMBER} [^\d,]+ at {NUMBER} ", line)
@@ -238,7 +237,7 @@ def test_limits_of_far_environments_are_proved_for_both_ends() -> None:
 def test_a_damping_that_is_stable_above_0_only_is_called_so() -> None:
     """Without a delay the product of the roots is 1 for every mass at a damping of 0."""
     answer = any_scene(loop(ROBOT | {"delay_samples": 0})).answer("limits")
-    assert "least damping  above 0 N s/m, 0 itself is not stable" in brief(answer)
+    assert "least damping  above 0 N s/m, 0 itself is not stable" in answer.in_short()
     damping = answer.as_json()["damping"]
     assert (damping["least_damping"], damping["at_mass"]) == (0.0, None)
     for value, is_stable in ((Fraction(0), None), (Fraction(1, 1000), True)):

@@ -14,7 +14,6 @@ from jaxstab import HapticLoop, Verdict
 from jaxstab.scene import Scene, design_loop, scene_limits, tune_walls
 from jaxstab.scene import loop_of as scene_loop
 from jaxstab.scene.answers import GainAnswer
-from jaxstab.scene.limits import brief
 from jaxstab.scene.loops import range_of_hands, with_delay
 from jaxstab.scene.tune import delayed_loop, sampled_loop
 from jaxstab.shown import Printed, exact_text, stable_pair
@@ -63,7 +62,7 @@ def walls_of_limits(table: dict[str, Any], rng: np.random.Generator) -> tuple[Ha
     answer = scene_limits(Scene.from_table({**table, "wanted": wanted}))
     # Of other loops, of an approximation.
     others = GainAnswer({**answer.values, "windows": {}, "linear_rule": None})
-    text = "\n".join([str(others), brief(answer), repr(loop.limits()), repr(loop.region())])
+    text = "\n".join([str(others), answer.in_short(), repr(loop.limits()), repr(loop.region())])
     walls = said_walls(text)
     assert len(walls) >= 7
     walls += [(k, damping) for ends in ends_of(text, "stiffness") for k in ends]
@@ -127,7 +126,7 @@ def test_walls_for_all_hands_and_delays_are_proved_as_they_are_printed() -> None
                 "controller": {"sample_time": period, "delay": [0.0, 2e-4] if moves else period},
             }
         )
-        said = brief(scene_limits(scene))
+        said = scene_limits(scene).in_short()
         moving: dict[str, Any] = {"delays": (0.0, 2e-4)} if moves else {}
         loop = scene_loop(with_delay(scene, 0.0 if moves else period))
         (found,) = re.findall(rf"for all hands +{NUMBER} {K} at {NUMBER} {B}, proved", said)

@@ -16,7 +16,7 @@ from jaxstab.loop import HapticLoop
 from jaxstab.model import Velocity
 from jaxstab.pictures.scene import scene_figure
 from jaxstab.scene import Scene, check_walls, loop_of, scene_limits
-from jaxstab.scene.limits import brief, inwards
+from jaxstab.scene.limits import inwards
 
 ROOT = Path(__file__).parents[1]
 OMEGA = ["--device", "omega", "--sample-time", "0.001", "--delay-samples", "1"]
@@ -115,7 +115,7 @@ def test_islands_are_named_as_not_reachable_and_drawn() -> None:
     held = {"device": {"mass": 0.08, "damping": 0.1}, "hand": {"stiffness": 185.0, "damping": 2.9}}
     held |= {"controller": {"sample_time": 1e-3, "velocity": {"window_samples": 20}}}
     scene = Scene.from_table(held)
-    assert brief(scene_limits(scene)).splitlines()[-1].endswith("see --islands")
+    assert scene_limits(scene).in_short().splitlines()[-1].endswith("see --islands")
     figure = scene_figure(scene)
     assert [panel.get_title() for panel in figure.axes] == ["Stable walls", "with islands"]
     (legend,) = figure.legends
@@ -327,7 +327,7 @@ def test_all_intervals_of_stable_stiffness_are_named_small_gains_first() -> None
     """Unstable walls lie before the far one, so it is not printed alone."""
     scene = Scene.from_table(TWO_INTERVALS | {"wanted": {"at_damping": 0.0}})
     answer = scene_limits(scene)
-    said = brief(answer)
+    said = answer.in_short()
     assert "stable stiffness    0 to 9416 N/m at 0 N s/m, also 42190 to 120600 N/m" in said
     # The wall is in the other one, which comes first for it.
     assert "within the stable range of 42190 to 120600 N/m, also 0 to 9416 N/m" in said

@@ -253,8 +253,9 @@ class _Row(NamedTuple):
 def _answer(
     given: dict[str, Any],
     name: str,
-    shown: Callable[[Any], str] = str,
     asked: str | None = None,
+    *,
+    is_short: bool = False,
     **options: Any,
 ) -> int:
     """Print what scenes answer, and return the exit code; UsageError if some were refused.
@@ -293,8 +294,10 @@ def _answer(
     if given["as_json"]:
         own = rows[0].answer.as_json() if is_one else [row.as_json() for row in rows]
         words = json.dumps(own, indent=1)
+    elif is_one:
+        words = rows[0].answer.in_short() if is_short else str(rows[0].answer)
     else:
-        words = shown(rows[0].answer) if is_one else _table(rows, paths)
+        words = _table(rows, paths)
     cells = [["scene", *paths, "refusal"], *(row.cells(paths, 0) for row in rows)]
     print_with_csv(words, cells, given["csv_file"])
     refused = [row for row in rows if row.refusal]
@@ -370,13 +373,12 @@ def limits(in_full: bool, islands: bool, **given: Any) -> int:
     for all hands and delays of the scene by proof, and the walls of the scene are among them, 1 if
     not. --gains without a mass or inertia asks for the least inertia that these need.
     """
-    from jaxstab.scene.limits import brief
     from jaxstab.scene.tune import known_of
 
     tables = tables_of(given).values() if given["gains"] else ()
     is_asked = tables and not any({"mass", "inertia"} & known_of(table) for table in tables)
-    shown = str if in_full or is_asked else partial(brief, islands=islands)
-    return _answer(given, "limits", shown, "inertia" if is_asked else None)
+    asked = "inertia" if is_asked else None
+    return _answer(given, "limits", asked, is_short=not (in_full or is_asked), islands=islands)
 
 
 @scene_command("frequency", simulates=True)
@@ -400,9 +402,7 @@ def check(in_full: bool, certificate: Path | None, **given: Any) -> int:
         claims = certified(scene_of(given, "a certificate"))
         write_beside(json.dumps(claims, indent=1).encode() + b"\n", certificate)
     is_short = not (in_full or given["as_json"] or given["csv_file"])
-    from jaxstab.scene.check import in_short
-
-    return _answer(given, "check", in_short if is_short else str, in_full=not is_short)
+    return _answer(given, "check", is_short=is_short, in_full=not is_short)
 
 
 @scene_command(simulates=True)

@@ -7,17 +7,22 @@ Limits are rounded inwards, and two gains that are printed as a stable wall are 
 (``jaxstab.shown.stable_pair``), of which JSON has the same digits. All other numbers have all
 digits there, in SI units but for a phase in degrees. JSON has the unit of each key. Answers of a
 scene that turns have the units of rotation, and inertia for mass.
+
+The long text has a line for each value. The short one has the rows of a table that the answer
+brings along (``Template``), made where the answer is made: nothing is computed to print it.
 """
 
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 from enum import IntEnum
 from math import isfinite, isinf, isnan, nan
-from typing import Any
+from typing import Any, ClassVar, NamedTuple
 
 from jaxstab.scene.scene import Controller, Grip, Hand, Scene, Units
-from jaxstab.shown import MOST_DIGITS, Printed, exact_text, rounded_text, stable_pair
+from jaxstab.shown import MOST_DIGITS, Printed, exact_text, rounded_text, stable_pair, table_text
 
 _LIMIT_DIGITS = 4
 _PREFIXES = ((0.1, 1, ""), (1e-3, 1000, "m"), (1e-6, 10**6, "u"), (1e-9, 10**9, "n"))
@@ -162,7 +167,7 @@ _FORMS = {
     # the edge of stability in units of alpha and beta, times, and the bounds of what an encoder
     # causes.
     "stiffness_gain damping_gain gain_margin disk_margin": _SPARE,
-    "extra_delay extra_delay_moving delay_margin": replace(_SPARE, unit="s"),
+    "extra_delay extra_delay_moving varying delay_margin": replace(_SPARE, unit="s"),
     "phase_margin": replace(_SPARE, unit="degrees"),
     "peak_sensitivity peak_complementary least_gain": Quantity(
         "", 4, ROUND_CEILING, absent=NOT_PROVED
@@ -174,6 +179,7 @@ _FORMS = {
     "radius_error": Quantity(digits=3, rounding=ROUND_CEILING, infinite=NOT_PROVED),
     "settling_time_2_percent settling_time_5_percent": _SETTLING,
     "settling_time_at_worst fastest_wall_at_worst": _SETTLING,
+    "horizon": Quantity("s", 3),
     "chatter_at_most": Quantity("m", 3, ROUND_CEILING, NOT_PROVED),
     "force_chatter_at_most": Quantity("N", 3, ROUND_CEILING, NOT_PROVED),
     "force_per_count": Quantity("N", 3),
@@ -196,12 +202,54 @@ FORMATS = formats_of({"stiffness": "N/m", "damping": "N s/m"} | _TIMES) | {
 """The formats of numbers, by their names."""
 
 
+class Template(NamedTuple):
+    """A row of a short text: its name, and ways to say it, with ``{name}`` for a value's words.
+
+    The first way is taken whose values are there: NaN is not, and ``{name!}`` asks for a finite
+    number, or an interval with values. In brackets ways are separated by |; where all of them lack
+    a value the brackets say nothing. A row is left out without a way, without the value ``when``,
+    and beside the value ``unless``.
+
+    A row of an entry takes values of this before those around it, and the entry's own rows follow.
+    Of a dictionary each entry has a row, and its key stands for {} in the name.
+    """
+
+    name: str
+    ways: tuple[str, ...] = ()
+    of: str = ""
+    when: str = ""
+    unless: str = ""
+
+    def words(self, said: Mapping[str, str]) -> str | None:
+        """The words of the row, from those of the values by name; None if it is left out."""
+        is_shown = self.unless not in said and (not self.when or self.when in said)
+        return first_way(self.ways, said) if is_shown else None
+
+
+def first_way(ways: Sequence[str], said: Mapping[str, str]) -> str | None:
+    """The first of the ways of a ``Template`` whose values are there, in words."""
+
+    def filled(text: str) -> str:
+        return re.sub(r"\{([^}]+)\}", lambda name: said[name[1]], text)
+
+    for way in ways:
+        always, *more = re.split(r"\[(.*?)\]", way)
+        with suppress(KeyError):  # of a value that is missing
+            words = filled(always)
+            for options, text in zip(more[::2], more[1::2], strict=True):
+                words += (first_way(options.split("|"), said) or "") + filled(text)
+            return words
+    return None
+
+
 class Answer:
     """A dataclass of quantities, descriptions and further answers.
 
     A field is left out where it is None; one that is a dictionary has answers, or quantities, by
     their names. An answer with a field ``inputs`` has its units, and so have the answers in it.
     """
+
+    has_heading: ClassVar[bool] = True  # else its values stand among those around it
 
     def as_json(self, units: Units = Units.LINE) -> dict[str, Any]:
         """Names and values as JSON has them (NaN, infinity: None), with units beside the inputs."""
@@ -213,7 +261,9 @@ class Answer:
                 place = place.setdefault(key, {})
             own = value.as_json(units) if isinstance(value, Answer) else _for_json(value)
             place |= (
-                own if isinstance(value, Part) else {name if outer else _named(name, units): own}
+                own
+                if isinstance(value, Answer) and not value.has_heading
+                else {name if outer else _named(name, units): own}
             )
             if name == "inputs":
                 table["units"] = self._units_of_keys(units)
@@ -231,7 +281,7 @@ class Answer:
             )
             if not isinstance(value, Answer):
                 lines.append(line(indent, words, self._words([*outer, name][0], value, units)))
-            elif isinstance(value, Part) or name == "inputs":
+            elif not value.has_heading or name == "inputs":
                 lines += value.lines(indent, units)
             else:
                 lines += [indent + words, *value.lines(indent + "  ", units)]
@@ -246,13 +296,17 @@ class Answer:
         for (*outer, name), value in self._entries():
             path = prefix + ".".join([*outer, name if outer else _named(name, units)])
             if isinstance(value, Answer):
-                yield from value.leaves(prefix if isinstance(value, Part) else f"{path}.", units)
+                yield from value.leaves(f"{path}." if value.has_heading else prefix, units)
                 continue
             words = self._words([*outer, name][0], value, units)
             ends = ("_low", "_high") if isinstance(value, tuple) else ("",)
             values = value if isinstance(value, tuple) else (value,)
             for end, entry in zip(ends, values, strict=True):
                 yield path + end, _for_json(entry), words
+
+    def in_words(self, units: Units) -> str:
+        """The answer in a row of another one; "" where it has no words for that."""
+        return ""
 
     def __str__(self) -> str:
         return "\n".join(self.lines())
@@ -292,11 +346,16 @@ class Answer:
 
 @dataclass(frozen=True)
 class GainAnswer(Answer):
-    """Values by their names, which are attributes too, their formats, and whether it is stable."""
+    """Values by their names, which are attributes too, their formats, and whether it is stable.
+
+    ``remarks`` are values that the short text alone has, and ``short`` are its rows.
+    """
 
     values: dict[str, Any]
     formats: Mapping[str, Quantity] = field(default_factory=dict)
     is_stable: bool = True
+    remarks: Mapping[str, Any] = field(default_factory=dict)
+    short: Sequence[Template] = ()
 
     def __getattr__(self, name: str) -> Any:
         """A value by its name."""
@@ -317,15 +376,51 @@ class GainAnswer(Answer):
             found |= value.facts() if isinstance(value, GainAnswer) else {name: value}
         return found
 
+    def in_short(self) -> str:
+        """The facts of the inputs, and the rows of the short text, in columns."""
+        rows = self._rows(self.short, {}, self._units(Units.LINE))
+        return table_text([*self.inputs.facts().items(), *rows])
+
+    def _rows(
+        self, rows: Sequence[Template], around: Mapping[str, str], units: Units
+    ) -> Iterator[tuple[str, str]]:
+        """Yield the names and words of the rows that have any."""
+        said = {**around, **self._said(units)}
+        for row in rows:
+            if not row.of:
+                words = row.words(said)
+                yield from [] if words is None else [(row.name, words)]
+                continue
+            entry = self.values.get(row.of) or {}
+            for key, answer in (entry if isinstance(entry, dict) else {"": entry}).items():
+                own, indent = row._replace(name=row.name.format(key), of=""), "  " * bool(row.ways)
+                yield from answer._rows([own], said, units)
+                inner = answer._rows(answer.short, said, units)
+                yield from ((indent + name, words) for name, words in inner)
+
+    def _said(self, units: Units) -> dict[str, str]:
+        """The words of values by name, those of a dictionary together, for ``Template``."""
+        said = dict[str, str]()
+        for name, value in {**self.values, **self.remarks}.items():
+            own = [*value.values()] if isinstance(value, dict) else [value]
+            if isinstance(value, Answer):
+                words = value.in_words(units)
+            elif value is None or any(isinstance(each, Answer) for each in own):
+                continue
+            else:
+                words = ", also ".join(self._words(name, each, units) for each in own)
+            is_interval = isinstance(value, tuple)
+            if words and (is_interval or words != Quantity.absent):
+                said[name] = words
+            if words != Quantity.absent if is_interval else _is_finite(value):
+                said[f"{name}!"] = words
+        return said
+
     def _values(self) -> Mapping[str, Any]:
         return self.values
 
     def _quantity(self, name: str) -> Quantity:
         return self.formats.get(name) or FORMATS[name]
-
-
-class Part(Answer):
-    """An answer whose values stand without a heading among those of the answer that has it."""
 
 
 class Basis(GainAnswer):
@@ -383,6 +478,10 @@ def line(indent: str, name: str, words: str) -> str:
     """A name and words, which begin in the column of all answers."""
     column = 34  # where values begin
     return f"{indent}{name:{column - len(indent)}}{words}"
+
+
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, float) and isfinite(value)
 
 
 def _for_json(value: Any) -> Any:

@@ -1,126 +1,91 @@
 """The walls of a scene: verdict, margins, radius, settling and chatter, with proofs."""
 
-from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import permutations
-from math import inf, isinf, isnan, nan
+from math import inf, isnan, nan
 from typing import Any
 
 import numpy as np
 
 from jaxstab.arrays import take, tree_map
 from jaxstab.conventions import Verdict
-from jaxstab.loop import FrequencyMargins as LoopFrequencyMargins
-from jaxstab.loop import Gains, HapticLoop
+from jaxstab.loop import FrequencyMargins, Gains, HapticLoop
 from jaxstab.loop.margins import wall_frequency_margins
 from jaxstab.motion import Settling as MotionSettling
 from jaxstab.motion import SettlingStatus
 from jaxstab.rounding import EPS
 from jaxstab.scene import loops
-from jaxstab.scene.answers import LABELS, GainAnswer, Part, Quantity, basis_of, line
+from jaxstab.scene.answers import GainAnswer, Template, basis_of, line
 from jaxstab.scene.contact import contacts_or_reasons
-from jaxstab.scene.limits import StableGains, stable_in_words
+from jaxstab.scene.limits import StableGains
 from jaxstab.scene.scene import Scene, Units
-from jaxstab.shown import table_text
+
+# What a check says in short, of each pair of gains.
+
+_RANGES = "verdicts cover all of them; other numbers are the worst at their ends"
+_WALL = "{stiffness} at {damping}: {verdict}"
+_WALLS = (
+    Template("ranges", ("{ranges}",)),
+    Template(
+        "wall {}",
+        (
+            f"{_WALL}: {{hands_are}}",
+            f"{_WALL} for every {{every}}",
+            f"{_WALL}[ with {{worst_hand}}][; {{worst_delays}}]",
+        ),
+        "walls",
+    ),
+)
 
 
-class FrequencyMargins(GainAnswer, Part):
+def stable_row(name: str, unless: str, *gains: tuple[str, str, str]) -> Template:
+    """The row of the stable values of two gains: of each the name, a symbol and the other one."""
+    words = (
+        f"[{symbol} from {{{own}_limits!}}|{symbol} is {{{own}_unresolved}}|no {symbol}]"
+        f"[, also {{other_{own}}}] at {other}"
+        for own, symbol, other in gains
+    )
+    return Template(name, ("; ".join(words),), when=f"{gains[0][0]}_limits", unless=unless)
+
+
+_OF_WALL = (
+    Template("measures", ("{left_out}",)),
+    Template(
+        "gain margins",
+        (
+            "K may grow by [a factor of {stiffness_gain!}|{stiffness_gain} factor], "
+            "B by [a factor of {damping_gain!}|{damping_gain} factor]",
+        ),
+        when="stiffness_gain",
+    ),
+    Template("extra delay", ("{extra_delay} (constant)[, {varying} (varying)]",)),
+    stable_row(
+        "stable walls",
+        "stiffness_gain",
+        ("stiffness", "K", "{damping}"),
+        ("damping", "B", "{stiffness}"),
+    ),
+    Template("", of="margins_over_frequency"),
+    Template("settling time (2 %)", ("not proved within {horizon}", "{settling_time_2_percent}")),
+    Template(
+        "encoder chatter",
+        ("at most {chatter_at_most!} and {force_chatter_at_most}", "{chatter_at_most}"),
+    ),
+    Template("contact", ("{simulated}",), unless="worst_delays"),
+)
+
+
+class WorstMargins(GainAnswer):
     """The distances of the open loop from -1, and where they are: each the worst over some hands.
 
-    Without a gain margin it is one line, of two numbers.
+    Each has one line with its frequency.
     """
 
-    def rows(self, units: Units = Units.LINE) -> dict[str, str]:
-        """The words of each number, the frequency behind it."""
-        rows = dict[str, str]()
-        for path, _, words in self.leaves("", units):
-            name, is_place, _ = path.partition("_at")
-            label = LABELS.get(name, name.replace("_", " "))
-            rows[label] = f"{rows[label]} at {words}" if is_place else words
-        if "gain_margin" not in self.values:
-            phase, peak = rows.values()
-            words = phase if isnan(self.phase_margin) else f"{phase}, peak sensitivity {peak}"
-            rows = {"phase margin": words}
-        return rows
+    has_heading = False
 
     def lines(self, indent: str = "", units: Units = Units.LINE) -> list[str]:
-        """A line for each number."""
-        return [line(indent, name, words) for name, words in self.rows(units).items()]
-
-
-# What a check says in short.
-
-
-def in_short(answer: GainAnswer) -> str:
-    """Notes that are easily overlooked, and the main answers of each pair of gains."""
-    inputs, kind = answer.inputs, "walls" if "walls" in answer.values else "gains"
-    pairs = answer.values[kind]
-    rows, delays = [*inputs.facts().items()], getattr(inputs, "range_of_delays", None)
-    if delays or any(pair.values.get("worst_hand") for pair in pairs.values()):
-        words = "verdicts cover all of them; other numbers are the worst at their ends"
-        rows.append(("ranges", words + ", of constant delays" * (delays is not None)))
-    for name, pair in pairs.items():
-        rows += _rows(f"{kind.replace('walls', 'wall')} {name}", pair, inputs, delays)
-    return table_text(rows)
-
-
-def _rows(
-    title: str, pair: GainAnswer, inputs: Any, delays: str | None
-) -> Iterator[tuple[str, str]]:
-    """At most eight lines, or some more with all margins over frequency."""
-    units = getattr(inputs, "units", Units.LINE)
-    said = {path: words for path, _, words in pair.leaves("", units)}
-    values, (first, second, *_) = pair.values, pair.values
-    of_wall = title.startswith("wall")
-    own = [said[name] if of_wall else f"{name} = {said[name]}" for name in (first, second)]
-    yield title, f"{(' at ' if of_wall else ' and ').join(own)}: {_verdict(values, said, units)}"
-    verdict, reason = values["verdict"], values.get("measures_are")
-    if reason and reason.startswith("left out: nothing"):
-        yield "  measures", reason
-    if verdict == Verdict.UNSTABLE and delays:
-        return  # all else is of constant delays
-    if "both_factors" in values:
-        factors = [f"{name} by {said[f'{name}_factors_low']}" for name in (first, second, "both")]
-        yield "  gain margins", f"may be multiplied: {', '.join(factors)}"
-    elif "stiffness_gain" in values:
-        growth = [said[f"{gain}_gain"] for gain in ("stiffness", "damping")]
-        growth = [f"a factor of {x}" if x[0].isdigit() else f"{x} factor" for x in growth]
-        yield "  gain margins", "K may grow by {}, B by {}".format(*growth)
-        moving = said.get("extra_delay_moving") if delays else None
-        words = f"{said['extra_delay']} (constant)"
-        yield "  extra delay", f"{words}, {moving} (varying)" if moving else words
-    elif f"{first}_limits" in values:
-        letters = ("K", "B") if of_wall else (first, second)
-        places = zip((first, second), letters, own[::-1], strict=True)
-        beside = [
-            stable_in_words(letter, name, place, said.get(f"{name}_limits_low"), said)
-            for name, letter, place in places
-        ]
-        yield f"  stable {'walls' if of_wall else 'gains'}", "; ".join(beside)
-    frequency = values.get("margins_over_frequency")
-    yield from ((f"  {x}", w) for x, w in (frequency.rows(units) if frequency else {}).items())
-    if "settling_status" in values:
-        is_open = values["settling_status"] == SettlingStatus.NOT_SETTLED
-        horizon = Quantity("s", 3).words(_HORIZON * inputs.sample_time)
-        words = f"not proved within {horizon}" if is_open else said["settling_time_2_percent"]
-        yield "  settling time (2 %)", words
-    if "chatter_at_most" in values:
-        most = said["chatter_at_most"], said["force_chatter_at_most"]
-        is_endless = isinf(values["chatter_at_most"])
-        yield "  encoder chatter", most[0] if is_endless else "at most {} and {}".format(*most)
-    if felt := values.get("simulated"):
-        yield "  contact", felt if isinstance(felt, str) else felt.in_short(units)
-
-
-def _verdict(values: Mapping[str, Any], said: Mapping[str, str], units: Units) -> str:
-    words, hand = said["verdict"], values.get("worst_hand")
-    if "hands_are" in said:
-        return f"{words}: {said['hands_are']}"
-    if values["verdict"] == Verdict.UNSTABLE:
-        cause = f"{words} with {hand.in_words(units)}" if hand else words
-        return "; ".join(filter(None, [cause, values.get("worst_delays")]))
-    kinds = ["hand", *[units.moved] * (hand.device_mass is not None)] if hand else []
-    return f"{words} for every {' and '.join(kinds)}" if hand else words
+        """A line for each number, or for two."""
+        return [line(indent, *row) for row in self._rows(self.short, {}, units)]
 
 
 # The walls of a scene.
@@ -131,7 +96,7 @@ def check_walls(scene: Scene, *, in_full: bool = True) -> GainAnswer:
 
     The worst hand is that of the largest radius, which is given for it; every other measure is the
     worst over the hands that are tried, but for the jitter, which is proved for every hand. Not
-    ``in_full`` the answer has what ``in_short`` prints.
+    ``in_full`` the answer has what its short text says.
     """
     scene.require_walls()
     felt = contacts_or_reasons(scene) if scene.wanted.measures else {}
@@ -141,13 +106,18 @@ def check_walls(scene: Scene, *, in_full: bool = True) -> GainAnswer:
     checked, controller = dict[str, GainAnswer](), scene.controller
     for name, (wall, held) in zip(scene.walls, found, strict=True):
         tried, words, measured = list(dict.fromkeys([*corners, held])), None, dict[str, Any]()
+        remarks = {**wall.remarks}
         if wall.drifts:
             words = (
                 "left out: nothing holds the position; limits --at-stiffness 0 gives the dampings"
             )
+            remarks["left_out"] = words if scene.wanted.measures else None
         elif controller.moves and wall.verdict != Verdict.STABLE:
             words = "left out: they are of constant delays, but the delay moves"
-        elif measured := _measured(scene, wall, tried, held, in_full=in_full):
+        else:
+            measured, more = _measured(scene, wall, tried, held, in_full=in_full)
+            remarks |= more
+        if measured:
             delays, count = len({loop.delay for loop in tried}), len(tried)
             kinds = ["hands"] * (delays < count) + ["constant delays"] * (delays > 1)
             lost = ", no sample lost" * controller.moves
@@ -155,8 +125,14 @@ def check_walls(scene: Scene, *, in_full: bool = True) -> GainAnswer:
             words = of_many if count > 1 or lost else None
         told = {"measures_are": words if scene.wanted.measures else None}
         values = {**wall.values, **told, **measured, "simulated": felt.get(name)}
-        checked[name] = GainAnswer(values, is_stable=wall.is_stable)
-    return GainAnswer({"inputs": basis_of(scene), "walls": checked})
+        checked[name] = GainAnswer(
+            values, is_stable=wall.is_stable, remarks=remarks, short=_OF_WALL
+        )
+    ranges = None
+    if not controller.has_one_delay or loops.hands_of(scene) is not None:
+        ranges = _RANGES + ", of constant delays" * (not controller.has_one_delay)
+    values = {"inputs": basis_of(scene), "walls": checked}
+    return GainAnswer(values, remarks={"ranges": ranges}, short=_WALLS)
 
 
 _HORIZON = 2**17  # samples within which settling is looked for
@@ -169,13 +145,16 @@ def _measured(
     worst_loop: HapticLoop,
     *,
     in_full: bool,
-) -> dict[str, Any]:
-    """The requested measures of a wall, each the worst over the hands and delays of its loops."""
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The requested measures of a wall, each the worst over the hands and delays of its loops.
+
+    Beside them stand remarks.
+    """
     controller, wanted, gains = scene.controller, scene.wanted, Gains(wall.stiffness, wall.damping)
     printed = {"margins", "frequency", "settling", "chatter", *["jitter"] * controller.moves}
     of_stable = {"margins", "frequency", "jitter"} if in_full else printed | {"jitter"}
     asked = {name for name in wanted.measures if in_full or name in printed}
-    answers = dict[str, Any]()
+    answers, remarks = dict[str, Any](), dict[str, Any]()
 
     def found(name: str, method: Any, among: Any = tried, **options: Any) -> Any:
         """A measure for each loop, stacked; None where it is not asked for."""
@@ -194,7 +173,9 @@ def _measured(
         for name in ("stiffness_gain", "damping_gain", "extra_delay"):
             answers[name] = float(getattr(margins, name).min())
     if "margins" in asked and (in_full or not wall.worst_delays):
-        answers |= _stable_around(tried, gains)
+        stable, unresolved = _stable_around(tried, gains)
+        answers |= stable
+        remarks |= unresolved
     own = found("frequency", wall_frequency_margins, in_full=wanted.frequency)
     if own is not None:
         answers["margins_over_frequency"] = frequency_answer(own, in_full=wanted.frequency)
@@ -212,6 +193,8 @@ def _measured(
     if settlings[0] is not None:
         slowest = [*map(_slowest, settlings)]
         two, five = map(take, settlings, slowest)
+        if two.status == SettlingStatus.NOT_SETTLED:
+            remarks["horizon"] = _HORIZON * controller.sample_time
         answers |= {
             "settling_time_2_percent": settled(two),
             "settling_time_5_percent": settled(five),
@@ -244,27 +227,33 @@ def _measured(
             spent = high - low + controller.lost_samples * controller.sample_time
             extra = max(extra * (1.0 - 8.0 * EPS) - spent * (1.0 + 8.0 * EPS), 0.0)
             words.append("beyond the range")
+            remarks["varying"] = extra or nan
         words += ["proved for every hand"] * (extra > 0.0 and every["hands"] is not None)
         answers |= {"extra_delay_moving": extra or nan, "moving_is": ", ".join(words) or None}
-    return answers
+    return answers, remarks
 
 
-def _stable_around(every: list[HapticLoop], gains: Gains) -> dict[str, Any]:
-    """The stable values of one gain at the other one, for all loops."""
+def _stable_around(every: list[HapticLoop], gains: Gains) -> tuple[dict[str, Any], dict[str, str]]:
+    """The stable values of one gain at the other one, for all loops, and what is not resolved."""
     stable, rows = StableGains(every[0], besides=(*every[1:],)), dict[str, Any]()
+    unresolved = dict[str, str]()
     for own, value, fixed, at in (
         (*pair, *other) for pair, other in permutations(zip(HapticLoop.gains, gains, strict=True))
     ):
         try:
             rows |= stable.row(fixed, at, value)
         except ValueError:
-            rows[f"{own.name}_limits"] = "not resolved"
-    return rows
+            unresolved[f"{own.name}_unresolved"] = rows[f"{own.name}_limits"] = "not resolved"
+    return rows, unresolved
 
 
-def frequency_answer(found: LoopFrequencyMargins, *, in_full: bool) -> FrequencyMargins:
+_PHASE = "{phase_margin}[ at {phase_margin_at}]"
+_PEAK = ", peak sensitivity {peak_sensitivity}[ at {peak_sensitivity_at}]"
+
+
+def frequency_answer(found: FrequencyMargins, *, in_full: bool) -> WorstMargins:
     """The worst of some margins over frequency."""
-    answer = dict[str, Any]()
+    answer, rows = dict[str, Any](), list[Template]()
     for name, own, worst in (
         ("phase_margin", found.phase, np.argmin),
         ("peak_sensitivity", found.sensitivity, np.argmax),
@@ -278,7 +267,10 @@ def frequency_answer(found: LoopFrequencyMargins, *, in_full: bool) -> Frequency
         if in_full or name in ("phase_margin", "peak_sensitivity"):
             answer[name] = max(value, 0.0)
             answer[f"{name}_at"] = place if place >= 0.0 and name != "least_gain" else None
-    return FrequencyMargins(answer)
+        rows.append(Template(name.replace("_", " "), (f"{{{name}}}[ at {{{name}_at}}]",)))
+    if not in_full:
+        rows = [Template("phase margin", (_PHASE + _PEAK * (not isnan(answer["phase_margin"])),))]
+    return WorstMargins(answer, short=rows)
 
 
 def _slowest(settling: MotionSettling) -> int:

@@ -12,7 +12,7 @@ A table of contacts has a dimension for each list of numbers; ``jaxstab.tables``
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from math import inf, isfinite, isnan
+from math import inf, isnan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from jaxstab.loop import Contact, ContactKind, HapticLoop
 from jaxstab.loop.contact import contact, setup_of
 from jaxstab.model import LoopParameters
 from jaxstab.numbers import checked, require_kind
-from jaxstab.scene.answers import GainAnswer, Quantity, basis_of
+from jaxstab.scene.answers import GainAnswer, Quantity, basis_of, first_way
 from jaxstab.scene.loops import Floats, hands_of, loop_of, walls_of
 from jaxstab.scene.scene import Scene, Units
 from jaxstab.shown import shortened
@@ -34,19 +34,17 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 
+_RESTS = "{contact} after {time_to_rest}, penetration {penetration} (simulated, {start})"
+_MOVES = "{contact}[, amplitude {amplitude!} at {contact_frequency}] (simulated, {start})"
+
+
 class Simulated(GainAnswer):
     """The end of the worst of the simulated contacts."""
 
-    def in_short(self, units: Units) -> str:
+    def in_words(self, units: Units) -> str:
         """Its end, and the start, the delay and the hand that it is from."""
-        said = {path: words for path, _, words in self.leaves("", units)}
-        words = said["contact"]
-        if self.contact == ContactKind.RESTS:
-            words += f" after {said['time_to_rest']}, penetration {said['penetration']}"
-        elif self.contact_frequency is not None and isfinite(self.amplitude):
-            words += f", amplitude {said['amplitude']} at {said['contact_frequency']}"
-        _, *held = self.contact_is.split("; ")
-        return f"{words} (simulated, {'; '.join([self.worst_start, *held])})"
+        way = _RESTS if self.contact == ContactKind.RESTS else _MOVES
+        return first_way([way], self._said(units)) or ""
 
     def lines(self, indent: str = "", units: Units = Units.LINE) -> list[str]:
         """The lines, without the size of a motion that nothing holds."""
@@ -177,7 +175,8 @@ def _simulated(scene: Scene, contact: Contact, start: tuple[float, float, float]
     words += [f"pushed with {Quantity('N').words(push, scene.units)}"] if push else []
     if scene.device.encoder:
         words.append(f"encoder at {phase:g} of a step")
-    about = [f"{scene.contact.duration:g} s, not proved"] if scene.contact else []
+    assert scene.contact is not None  # else nothing is simulated
+    about = list[str]()
     if not scene.controller.has_one_delay:
         about.append("the longest delay, held constant")
     if hands_of(scene) is not None:
@@ -192,8 +191,9 @@ def _simulated(scene: Scene, contact: Contact, start: tuple[float, float, float]
             "penetration": float(contact.penetration),
             "largest_force": float(contact.largest_force),
             "worst_start": ", ".join(words),
-            "contact_is": "; ".join(about),
-        }
+            "contact_is": "; ".join([f"{scene.contact.duration:g} s, not proved", *about]),
+        },
+        remarks={"start": "; ".join([", ".join(words), *about])},
     )
 
 

@@ -29,9 +29,9 @@ from jaxstab.model.affine import affine_triple
 from jaxstab.model.gain import Gain
 from jaxstab.numbers import without_noise
 from jaxstab.rounding import EPS
-from jaxstab.scene.answers import GainAnswer, basis_of
-from jaxstab.scene.check import frequency_answer
-from jaxstab.scene.limits import StableGains
+from jaxstab.scene.answers import GainAnswer, Template, basis_of
+from jaxstab.scene.check import frequency_answer, stable_row
+from jaxstab.scene.limits import SAFETY, StableGains, given_row, limit_row, pair_row, standing
 from jaxstab.scene.loops import device_of, hands_of, loop_of
 from jaxstab.scene.scene import (
     Device,
@@ -315,8 +315,21 @@ def gain_limits(scene: GainScene) -> GainAnswer:
                 "of gains are proved; give one environment, or [gains.NAME]."
             )
         values[f"at_given_{own.name}"] = stable.at(own, at)
-    pairs = {name: stable.around(pair) for name, pair in scene.pairs.items()}
-    return GainAnswer(values | {"gains": pairs}, is_stable=is_any)
+    pairs = {name: standing(stable.around(pair)) for name, pair in scene.pairs.items()}
+    one, two = (gain.name for gain in gains)
+    limits_of_each = (
+        limit_row(f"{own.sense} {own.name}", own.name, f"{own.sense}_{own.name}", other)
+        for own, other in zip(gains, (two, one), strict=True)
+    )
+    rows = (
+        SAFETY,
+        *limits_of_each,
+        Template("note", ("{limits}",)),
+        given_row(two, one),
+        given_row(one, two),
+        pair_row("gains {}", "gains", one, two),
+    )
+    return GainAnswer(values | {"gains": pairs}, is_stable=is_any, short=rows)
 
 
 def _checked(scene: GainScene, pair: dict[str, float]) -> GainAnswer:
@@ -341,7 +354,18 @@ def _checked(scene: GainScene, pair: dict[str, float]) -> GainAnswer:
             margins[name] = (*without_noise([low, high], 1.0).tolist(),)
     radii = {"spectral_radius": float(radius.value), "radius_error": float(radius.error)}
     values = pair | {"verdict": verdict} | radii | margins | found.values
-    return replace(found, values=values, is_stable=verdict == Verdict.STABLE)
+    return replace(found, values=values, is_stable=verdict == Verdict.STABLE, short=_of_pair(*pair))
+
+
+def _of_pair(one: str, two: str) -> list[Template]:
+    """The rows of a check of two gains beside their verdict."""
+    factors = (f"{name} by {{{name}_factors}}" for name in (one, two, "both"))
+    around = (one, one, f"{two} = {{{two}}}"), (two, two, f"{one} = {{{one}}}")
+    return [
+        Template("gain margins", (f"may be multiplied: {', '.join(factors)}",)),
+        stable_row("stable gains", "both_factors", *around),
+        Template("", of="margins_over_frequency"),
+    ]
 
 
 def check_gains(scene: GainScene) -> GainAnswer:
@@ -350,7 +374,9 @@ def check_gains(scene: GainScene) -> GainAnswer:
         names = " and ".join(gain.name for gain in scene.loop.gains)
         raise ValueError(f"gains is empty; give at least one pair, [gains.NAME] with {names}.")
     pairs = {name: _checked(scene, pair) for name, pair in scene.pairs.items()}
-    return GainAnswer(_stated(scene) | {"gains": pairs})
+    both = " and ".join(f"{gain.name} = {{{gain.name}}}" for gain in scene.loop.gains)
+    rows = [Template("gains {}", (f"{both}: {{verdict}}",), "gains")]
+    return GainAnswer(_stated(scene) | {"gains": pairs}, short=rows)
 
 
 def explain_gains(scene: GainScene) -> str:

@@ -25,15 +25,15 @@ from jaxstab.region import RegionStatus
 from jaxstab.scene import loops
 from jaxstab.scene.answers import (
     LIMIT_DIGITS,
-    Answer,
     GainAnswer,
     Quantity,
+    Template,
     basis_of,
     formats_of,
     printed_pair,
 )
 from jaxstab.scene.scene import Scene, Units
-from jaxstab.shown import Printed, exact_text, table_text
+from jaxstab.shown import Printed, exact_text
 
 _SEE_BELOW = " (all hands: see below)"
 
@@ -191,99 +191,73 @@ def inwards(low: float, high: float, safety: float) -> tuple[float, float]:
     return (low, high) if low <= high else (nan, nan)
 
 
-# What limits say in short.
+# What limits say in short: rows, of gains by their names.
+
+SAFETY = Template("safety factor", ("{safety}, applied to every limit",))
 
 
-def brief(answer: GainAnswer, *, islands: bool = False) -> str:
-    """Inputs that are easily overlooked, main limits, and pairs of gains, one on each line."""
-    lines, said = answer.inputs.facts(), {path: words for path, _, words in answer.leaves()}
-    values, hand = answer.values, answer.values.get("hand")
-    kind = "wall" if "walls" in values else "gains"
-
-    def limit(key: str, found: GainAnswer, *more: str | None) -> str:
-        paths = (f"{key}.{name}" for name in [*found.values][:2])
-        own, *at = (said[path] for path in paths if path in said)
-        if own == Quantity.absent:
-            return said.get(f"{key}.certainty", f"no stable {kind}")
-        pair = " at ".join([own, *(words for words in at if words != Quantity.absent)])
-        return ", ".join([pair, *filter(None, more)])
-
-    for key, found in values.items():
-        names = [*found.values] if isinstance(found, GainAnswer) else []
-        first, second, *_ = *names, "", ""
-        if not found:
-            continue
-        if key == "safety":
-            lines["safety factor"] = f"{said[key]}, applied to every limit"
-        elif key in ("limits", "reached"):
-            lines["note"] = found
-        elif key == "all_hands":
-            lines["for all hands"] = limit(key, found, found.certainty)
-        elif key == "best" or ("best" not in values and first.startswith(("largest_", "least_"))):
-            more = said.get(f"{key}.certainty"), hand and f"hand {hand.removesuffix(_SEE_BELOW)}"
-            lines[first.replace("_", " ")] = limit(key, found, *more)
-        elif key.startswith("at_given_"):
-            own = second.removesuffix("_limits")
-            ends = f"{said[f'{key}.{second}_low']} at {said[f'{key}.{first}']}"
-            lines[f"stable {own}"] = ends + others_in_words(f"{key}.other_{own}", said)
-        elif key in ("walls", "gains"):
-            for name, pair in found.items():
-                lines[f"{kind} {name}"] = _pair_text(pair, f"{key}.{name}.", said)
-        elif key == "islands":
-            for name, island in found.items():
-                if islands:
-                    lines[f"island {name}"] = limit(f"islands.{name}", island, island.reached)
-                elif island.largest_stiffness > 0.0 and island.at_damping >= 0.0:
-                    words = "stable walls that are not connected to zero gains: see --islands"
-                    lines["islands"] = words
-    return table_text([*lines.items()])
+def limit_row(
+    name: str, of: str, own: str, other: str, noun: str = "gains", more: str = ""
+) -> Template:
+    """The row of a limit of a gain, such as largest_kp, and of the other one there."""
+    pair = f"{{{own}}}[ at {{at_{other}}}][, {{certainty}}]{more}"
+    return Template(name, (pair, "{certainty}", f"no stable {noun}"), of)
 
 
-def _pair_text(pair: Answer, key: str, said: Mapping[str, str]) -> str:
-    """A pair of gains, and its verdict or the limits of the first one at the second."""
-    own, other, *_ = pair._values()
-    gains = f"{said[key + own]} at {said[key + other]}"
-    verdicts = (said[key + name] for name in ("verdict", "worst_delays") if key + name in said)
-    ends, exception = said.get(f"{key}{own}_limits_low"), said.get(f"{key}exception")
-    if ends is None or said[f"{key}verdict"] == loops.BUT_FOR_DRIFT:
-        words = f"{gains}, {', '.join(verdicts)}"
-    elif ends == Quantity.absent:
-        words = f"{gains}, where no {own} is stable"
-    else:
-        low, high = getattr(pair, f"{own}_limits")
-        place = "within" if low < getattr(pair, own) < high else "outside"
-        others = others_in_words(f"{key}other_{own}", said)
-        words = f"{gains}, {place} the stable range of {ends}{others}"
-    return "; ".join(filter(None, [words, exception]))
+def given_row(own: str, fixed: str) -> Template:
+    """The row of the stable values of a gain at a value of the other one that is asked for."""
+    words = f"[{{{own}_limits}}|none] at {{at_{fixed}}}[, also {{other_{own}}}]"
+    return Template(f"stable {own}", (words,), f"at_given_{fixed}")
 
 
-def others_in_words(key: str, said: Mapping[str, str]) -> str:
-    """The further intervals of a row, each after a comma."""
-    ends = (words for path, words in said.items() if path.startswith(key) and "_low" in path)
-    return "".join(f", also {words}" for words in ends)
+def pair_row(name: str, of: str, own: str, other: str) -> Template:
+    """The row of pairs of gains: how each stands to the limits of its first gain, or a verdict."""
+    pair, exception = f"{{{own}}} at {{{other}}}", "[; {exception}]"
+    to_limits = f"{pair}, {{standing}}[ of {{{own}_limits!}}][, also {{other_{own}}}]"
+    verdict = f"{pair}, {{verdict}}[, {{worst_delays}}]"
+    return Template(name, (to_limits + exception, verdict + exception), of)
 
 
-def stable_in_words(
-    name: str, own: str, place: str, ends: str | None, said: Mapping[str, str]
-) -> str:
-    """The stable values of a gain at a value of the other one, or that there are none."""
-    if ends is None:
-        return f"{name} is not resolved at {place}"
-    every = f"{name} from {ends}{others_in_words(f'other_{own}', said)}"
-    return f"{every if ' to ' in ends else f'no {name}'} at {place}"
+def standing(pair: GainAnswer) -> GainAnswer:
+    """A pair of gains with a remark on how it stands to the limits of its first gain, if any."""
+    own, *_ = pair.values
+    low, high = pair.values.get(f"{own}_limits", (None, None))
+    if low is None or pair.verdict == loops.BUT_FOR_DRIFT:
+        return pair
+    words = f"where no {own} is stable"
+    if not isnan(low):
+        place = "within" if low < pair.values[own] < high else "outside"
+        words = f"{place} the stable range"
+    return replace(pair, remarks={"standing": words})
+
+
+_STIFFEST = partial(limit_row, own="largest_stiffness", other="damping", noun="wall")
+_LIMITS = (
+    SAFETY,
+    _STIFFEST("largest stiffness", "best", more="[, hand {hand}]"),
+    _STIFFEST("for all hands", "all_hands"),
+    Template("note", ("{reached}",)),
+)
+_HINT = Template("islands", ("{isolated}: see --islands",))
+_ISLANDS = _STIFFEST("island {}", "islands", more=", {reached}")
+_WALLS = (
+    given_row("stiffness", "damping"),
+    given_row("damping", "stiffness"),
+    pair_row("wall {}", "walls", "stiffness", "damping"),
+)
 
 
 # The walls of a scene.
 
 
-def scene_limits(scene: Scene) -> GainAnswer:
+def scene_limits(scene: Scene, *, islands: bool = False) -> GainAnswer:
     """The largest stiffness and damping, the linear rule, the passive limit, all hands.
 
     They are those of the hand at its lowest values; ``all_hands`` has all of them. Over a range of
     delays that are constant the best wall, the only limit, is for all hands. Where a safety is
     wanted, all limits are multiplied by it, towards small gains, and islands, which have no such
     side, are left out. The linear rule and the passive limit are those of the difference over one
-    sample, and left out for others.
+    sample, and left out for others. The short text has a row for each of the ``islands`` on demand.
     """
     if not scene.controller.has_one_delay:
         return _over_delays(scene)
@@ -296,10 +270,11 @@ def scene_limits(scene: Scene) -> GainAnswer:
     is_any_stable = isfinite(limits.stiffness)  # with K >= 0 and B >= 0
     has_rules, is_reached = loops.is_plain(loop), limits.is_reachable or region.is_empty
     isolated = {"reached": "isolated: not connected to zero gains"}
-    islands = (
+    isles = [
         stable.limit(of_k, *own[:2]).values | stable.limit(of_b, *own[2:4]).values | isolated
         for own in (() if wanted.safety else limits.islands)
-    )
+    ]
+    seen = any(own["largest_stiffness"] > 0.0 and own["at_damping"] >= 0.0 for own in isles)
     return GainAnswer(
         {
             "inputs": basis_of(scene),
@@ -309,16 +284,22 @@ def scene_limits(scene: Scene) -> GainAnswer:
             "all_hands": loops.limit_for_all(scene, stable.safety),
             "most_damped": stable.limit(of_b, *limits[2:4]),
             "reached": None if is_reached else "small gains are not stable",
-            "islands": numbered(map(GainAnswer, islands)),
+            "islands": numbered(map(GainAnswer, isles)),
             "passive": _passive(loop, stable) if has_rules else None,
             "linear_rule": _linear_rule(stable, limits) if has_rules and is_any_stable else None,
             "windows": _other_windows(loop, stable) if scene.controller.velocity is None else {},
             "at_given_damping": stable.at(of_b, wanted.at_damping),
             "at_given_stiffness": stable.at(of_k, wanted.at_stiffness),
             "walls": {
-                name: _around(scene, stable, wall) for name, wall in loops.walls_of(scene).items()
+                name: standing(_around(scene, stable, wall))
+                for name, wall in loops.walls_of(scene).items()
             },
-        }
+        },
+        remarks={
+            "hand": loops.at_lowest(scene, ""),
+            "isolated": "stable walls that are not connected to zero gains" if seen else None,
+        },
+        short=(*_LIMITS, _ISLANDS if islands else _HINT, *_WALLS),
     )
 
 
@@ -368,7 +349,9 @@ def _over_delays(scene: Scene) -> GainAnswer:
             "best": loops.stiffest_wall(best, every, proved_unstable_at=unstable),
             "all_hands": loops.limit_for_all(scene, safety) if controller.moves else None,
             "walls": {name: verdict for name, (verdict, _) in verdicts},
-        }
+        },
+        remarks={"hand": loops.at_lowest(scene, "") if controller.moves else None},
+        short=(*_LIMITS, *_WALLS),
     )
 
 

@@ -260,6 +260,7 @@ def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[tuple[WallVerdict, Ha
     unproved = "none of the hands that were tried is unstable, but not all hands are proved"
     loop, delays, every = loops_over_delays(scene)[0], delays_of(scene), ranges_of_all(scene)
     is_alone = hands_of(scene) is None
+    of_hands = "hand" if masses_of(scene) is None else f"hand and {scene.units.moved}"
     worst: list[tuple[Any, HapticLoop, float]]  # verdict, loop and radius
     if is_alone and not delays:
         worst = [(verdict_on(loop, *gains), loop, nan) for gains in walls]
@@ -285,7 +286,8 @@ def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[tuple[WallVerdict, Ha
         told = {"hands_are": tried, "worst_hand": hand, "worst_delays": words}
         is_stable = verdict in (Verdict.STABLE, BUT_FOR_DRIFT) and not tried
         values = gains._asdict() | {"verdict": verdict} | told
-        answers.append((WallVerdict(values, is_stable=is_stable), held))
+        remarks = {"every": None if hand is None or is_unstable else of_hands}
+        answers.append((WallVerdict(values, is_stable=is_stable, remarks=remarks), held))
     return answers
 
 
