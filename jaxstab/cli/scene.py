@@ -34,7 +34,6 @@ from jaxstab.cli.options import (
     together,
     write_beside,
 )
-from jaxstab.conventions import Verdict
 from jaxstab.durable import publish
 from jaxstab.shown import printable, rounded_text, table_text
 
@@ -297,7 +296,7 @@ def _answer(
     elif is_one:
         words = rows[0].answer.in_short() if is_short else str(rows[0].answer)
     else:
-        words = _table(rows, paths)
+        words = _table(rows)
     cells = [["scene", *paths, "refusal"], *(row.cells(paths, 0) for row in rows)]
     print_with_csv(words, cells, given["csv_file"])
     refused = [row for row in rows if row.refusal]
@@ -337,29 +336,12 @@ def _computed(scene: Any, name: str, options: dict[str, Any]) -> Any:
         return getattr(scenes, functions[name])(scene, **options)
 
 
-def _table(rows: list[_Row], paths: list[str]) -> str:
+def _table(rows: list[_Row]) -> str:
     """Return the main numbers of each scene, in columns, or the reason why it was refused."""
-    paths = list(filter(_is_main, paths))
+    mains = (path for row in rows if row.answer for path in row.answer.main_paths())
+    paths = list(dict.fromkeys(mains))
     plain = (path.removeprefix("walls.").replace("_", " ").replace(".", ": ") for path in paths)
     return table_text([["scene", *plain, ""], *(row.cells(paths, 1) for row in rows)])
-
-
-def _is_main(path: str) -> bool:
-    """True for the path of a scene's main number, or of a wall's or of gains: limits, verdicts."""
-    outer, _, name = path.rpartition(".")
-    main = {
-        "best": {"largest_stiffness", "at_damping"},
-        "most_damped": {"largest_damping"},
-        "all_hands": {"largest_stiffness"},
-        "least_settling": {"stiffness", "damping", "settling_time_2_percent"},
-        "": {"now_allowed_stiffness"},
-        "sample_time": {"largest_sample_time"},
-        "delay": {"largest_delay"},
-    }
-    if outer.startswith(("walls.", "gains.")) and outer.count(".") == 1:
-        of_walls = ("verdict", "stiffness_gain", "settling_time_2_percent")
-        return name in of_walls or name.startswith(("least_", "largest_"))
-    return name in {f"largest_{outer}", f"least_{outer}", *main.get(outer, ())}
 
 
 @scene_command("safety", "at_damping", "at_stiffness")
@@ -843,7 +825,7 @@ def study(
 
     Lists of values span a grid, distributions are drawn at each of its points.
     """
-    from jaxstab.scene.study import merged, plan_study
+    from jaxstab.scene.study import merged, plan_study, summary
 
     if output is None and (merge or part):
         raise click.UsageError("--merge and --part are given without --output; give the file.")
@@ -882,46 +864,19 @@ def study(
             table = t.computed(table)
     if output is not None:
         t.write(table, output)
-    cells = _cells(table) if csv_file else ()
-    print_with_csv(_report(table, is_small=rows <= most), cells, csv_file, may_replace=False)
+    cells, lines = _cells(table) if csv_file else (), list[str]()
+    for words, numbers, limit in summary(table, is_small=rows <= most):
+        lines += [words] * bool(words) + ([] if numbers is None else [_text(numbers, limit)])
+    print_with_csv("\n".join(lines), cells, csv_file, may_replace=False)
     if plot:
         from jaxstab.pictures.scene import study_figure
 
         draw(study_figure(table), plot)
 
 
-# What is printed: the table of a grid; quantiles of draws, and shares of stable walls.
+# What is printed: the tables of a summary.
 
 _INWARDS = {"largest": ROUND_FLOOR, "least": ROUND_CEILING}
-
-
-def _report(table: "Dataset", *, is_small: bool) -> str:
-    from jaxstab.scene.study import limit_in, quantiles, shares, walls_in
-
-    walls, limit = walls_in(table), limit_in(table)
-    of_walls = [name for name in table.coords if str(name).startswith(f"{walls}_")]
-    if "sample" not in table.dims:
-        words = [_text(table.drop_vars(of_walls))]
-        for wall in table[walls].values if "verdict" in table else ():
-            codes = table.verdict.sel({walls: wall})
-            stable, undecided = (codes == Verdict.STABLE).sum(), (codes == Verdict.UNDECIDED).sum()
-            counts = f"{stable.item():,} of {codes.size:,} loops, {undecided.item():,} undecided"
-            words.append(f"{wall}: stable for {counts}")
-        return "\n".join(words if is_small else words[1:])
-    words, draws = [], f"{table.sizes['sample']:,} draws"
-    if limit:
-        found = quantiles(table, limit)
-        found = found if found.ndim > 1 else found.expand_dims({"": [draws]})
-        named = {0.05: "5th percentile", 0.5: "median", 0.95: "95th percentile"}
-        words.append(f"{limit.replace('_', ' ')} in {found.units}, over {draws}:")
-        words.append(_text(found.to_dataset("quantile").rename(named), limit))
-    if "verdict" in table:
-        found = shares(table)
-        found = found.drop_vars(of_walls)
-        percent = 100.0 * found[["share", "low", "high"]]
-        words.append(f"proved stable in % of {draws}, with the 95 % confidence interval:")
-        words.append(_text(percent.rename(share="stable").assign(undecided=found.undecided)))
-    return "\n".join(words)
 
 
 def _frame(table: "Dataset") -> Any:
@@ -942,11 +897,13 @@ def _frame(table: "Dataset") -> Any:
 
 def _text(table: "Dataset", limit: str = "") -> str:
     """Return the first rows of a table in columns, with units; its values may be of one limit."""
+    from jaxstab.scene.study import sense_of
+
     frame, most = _frame(table), 40
     units = {name: table[name].attrs.get("units", "1") for name in frame}
     heads = [f"{name} ({unit})" if unit.strip("1") else name for name, unit in units.items()]
     names = [(name in table.data_vars and limit) or name for name in frame]
-    ways = [_INWARDS.get(name.partition("_")[0], ROUND_HALF_EVEN) for name in names]
+    ways = [_INWARDS.get(sense_of(name), ROUND_HALF_EVEN) for name in names]
     rows = [[*map(_cell, row, ways)] for row in frame.head(most).itertuples(index=False)]
     text = table_text([[head.replace("_", " ") for head in heads], *rows])
     more = len(frame) - most

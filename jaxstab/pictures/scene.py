@@ -62,14 +62,21 @@ from jaxstab.scene.answers import (
     Quantity,
     basis_of,
     in_words,
-    printed_pair,
 )
 from jaxstab.scene.check import check_walls
 from jaxstab.scene.contact import simulated_map, walls_around
 from jaxstab.scene.gains import GainScene
-from jaxstab.scene.limits import passive_walls
+from jaxstab.scene.limits import StableWalls, passive_walls
 from jaxstab.scene.scene import Encoder, Scene, Units
-from jaxstab.scene.study import SAMPLE, limit_in, lists_of, quantiles, shares, walls_in
+from jaxstab.scene.study import (
+    SAMPLE,
+    limit_in,
+    lists_of,
+    quantiles,
+    sense_of,
+    shares,
+    walls_in,
+)
 from jaxstab.scene.tune import stiffness_over
 
 if TYPE_CHECKING:
@@ -163,7 +170,7 @@ def scene_figure(scene: Scene | GainScene, answer: GainAnswer | None = None) -> 
     ValueError: no wall is stable. Of another loop it is the stable set of its gains.
     """
     if isinstance(scene, GainScene):
-        return _gain_figure(scene)
+        return _gain_figure(scene, answer)
     given = answer or GainAnswer({})
     if "friction" in given.values:
         return scene_contacts(scene)
@@ -224,10 +231,9 @@ def scene_figure(scene: Scene | GainScene, answer: GainAnswer | None = None) -> 
         draw_responses(panels[-1], scene, given.walls)
         panels[-1].set_title("Response to a constant push")
     elif isfinite(region.stiffest.stiffness):
-        printed = printed_pair(
-            *region.stiffest, lambda *wall: loop.verdict(*wall) == Verdict.STABLE
-        )
-        label = plain(f"stiffest: {_gains_text(*printed, scene.units, _LARGEST)}")
+        printed = StableWalls(loop).limit(loop.gains[0], *region.stiffest)
+        pair = printed.largest_stiffness, printed.at_damping
+        label = plain(f"stiffest: {_gains_text(*pair, scene.units, _LARGEST)}")
         panels[0].plot(*region.stiffest, ">", color=ORANGE, ms=9, mec=BLACK, label=label)
     for panel in planes:
         _draw_marks(panel, walls)
@@ -235,14 +241,16 @@ def scene_figure(scene: Scene | GainScene, answer: GainAnswer | None = None) -> 
     return _with_legend(figure, planes, walls, min(1 + len(widths), 4), levels)
 
 
-def _gain_figure(scene: GainScene) -> Figure:
+def _gain_figure(scene: GainScene, answer: GainAnswer | None) -> Figure:
     """The stable gains of a loop, in the coordinates of its region, with the pairs of a scene."""
+    judged = answer.values.get("gains", {}) if answer else {}
     small = 0.1  # of the axes, in either direction: pairs that close are enlarged
     region, marks = scene.loop.region(), dict[str, tuple[Spot, Verdict | str]]()
     for name, pair in scene.pairs.items():
         with np.errstate(all="ignore"):  # of a mass of 0
             x, y = scene.loop._chart.of_gains(*np.array([*pair.values()]))
-        marks[name] = (float(x), float(y)), scene.stable.verdict(*pair.values())
+        verdict = judged[name].verdict if judged else scene.stable.verdict(*pair.values())
+        marks[name] = (float(x), float(y)), verdict
     figure = Figure(figsize=(_WIDTH, _HEIGHT), layout="constrained")
     panels = [region.plot(figure.subplots())]
     points = _with_origin(marks)
@@ -405,8 +413,9 @@ def _set_window(panel: Axes, points: Floats) -> None:
 def _draw_tuned(panel: Axes, tuned: GainAnswer, units: Units) -> None:
     """Draw the tuned walls, each with its own mark."""
     given = [*tuned.walls.values(), *filter(None, [tuned.at_given_stiffness])]
+    fastest = tuned.least_settling.rounded
     for label, walls, mark, colour in (
-        ("fastest", [tuned.least_settling.rounded], "*", ORANGE),
+        ("fastest", [fastest], "*", ORANGE),
         ("smallest radius", [tuned.least_radius.rounded], "D", GREEN),
         ("best damping at a given stiffness", [wall.rounded for wall in given], "P", SKY),
         ("fastest in the worst case of the ranges", [tuned.over_ranges], "p", PURPLE),
@@ -415,9 +424,9 @@ def _draw_tuned(panel: Axes, tuned: GainAnswer, units: Units) -> None:
         gains = np.array([wall for wall in pairs if None not in wall], np.float64).reshape(-1, 2)
         if len(gains) == 1:
             label += f": {_gains_text(float(gains[0, 0]), float(gains[0, 1]), units)}"
-        if label.startswith("fastest:") and tuned.least_settling.rounded:
-            time = tuned.least_settling.rounded.settling_time_2_percent
-            label += f", settles in {Quantity('s', 3).words(time)}"
+        if mark == "*" and fastest:
+            time = Quantity("s", 3).words(fastest.settling_time_2_percent)
+            label += f", settles in {time}"
         if len(gains):
             look: Any = {"color": colour, "ms": 13 if mark == "*" else 8, "mec": BLACK, "ls": ""}
             panel.plot(*gains.T, mark, label=plain(label), zorder=5, **look)
@@ -707,7 +716,7 @@ def study_figure(study: "Dataset") -> Figure:
     label = _label(study[limit])
     if not lists:
         below = np.linspace(0.0, 1.0, 1001)
-        allowed = below if limit.startswith("least") else 1.0 - below
+        allowed = below if sense_of(limit) == "least" else 1.0 - below
         panel.plot(quantiles(study, limit, at=below.tolist()), 100.0 * allowed, color=BLUE, lw=1.5)
         panel.set_xlabel(label)
         panel.set_ylabel("% of the draws that allow it")

@@ -18,6 +18,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 from enum import IntEnum
+from fnmatch import fnmatchcase
 from math import isfinite, isinf, isnan, nan
 from typing import Any, ClassVar, NamedTuple
 
@@ -123,17 +124,6 @@ def printed_pair(limit: float, other: float, *known: Any) -> tuple[float, float]
         return pair
     first, second = (n.shown if isinstance(n, Printed) else nan for n in pair)
     return first, second
-
-
-def rounded_wall(stiffness: float, damping: float, is_stable: Any) -> tuple[float, float]:
-    """A stable wall of few digits, with which it is printed."""
-    nearest = [float(rounded_text(gain, Quantity.digits)) for gain in (stiffness, damping)]
-    if is_stable(*nearest):
-        return nearest[0], nearest[1]
-    k, b = stable_pair(stiffness, damping, (Quantity.digits, Quantity.digits), is_stable)
-    if isinstance(k, Printed) and isinstance(b, Printed):
-        return float(k.text), float(b.text)
-    return k, b
 
 
 NOT_PROVED = "not proved"
@@ -348,7 +338,8 @@ class Answer:
 class GainAnswer(Answer):
     """Values by their names, which are attributes too, their formats, and whether it is stable.
 
-    ``remarks`` are values that the short text alone has, and ``short`` are its rows.
+    ``remarks`` are values that the short text alone has, and ``short`` are its rows. A table of
+    several scenes has the values of which ``columns`` are the paths; * stands for any name.
     """
 
     values: dict[str, Any]
@@ -356,6 +347,7 @@ class GainAnswer(Answer):
     is_stable: bool = True
     remarks: Mapping[str, Any] = field(default_factory=dict)
     short: Sequence[Template] = ()
+    columns: Sequence[str] = ()
 
     def __getattr__(self, name: str) -> Any:
         """A value by its name."""
@@ -375,6 +367,15 @@ class GainAnswer(Answer):
         for (name, *_), value in self._entries():
             found |= value.facts() if isinstance(value, GainAnswer) else {name: value}
         return found
+
+    def main_paths(self) -> Iterator[str]:
+        """Yield the paths of the values for a table of several scenes, in the order of leaves."""
+        columns = [column.split(".") for column in self.columns]
+        for path, *_ in self.leaves():
+            names = path.split(".")
+            alike = (each for each in columns if len(each) == len(names))
+            if any(all(map(fnmatchcase, names, each)) for each in alike):
+                yield path
 
     def in_short(self) -> str:
         """The facts of the inputs, and the rows of the short text, in columns."""

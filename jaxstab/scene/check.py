@@ -38,6 +38,9 @@ _WALLS = (
 )
 
 
+_COLUMNS = "walls.*.verdict", "walls.*.stiffness_gain", "walls.*.settling_time_2_percent"
+
+
 def stable_row(name: str, unless: str, *gains: tuple[str, str, str]) -> Template:
     """The row of the stable values of two gains: of each the name, a symbol and the other one."""
     words = (
@@ -132,7 +135,7 @@ def check_walls(scene: Scene, *, in_full: bool = True) -> GainAnswer:
     if not controller.has_one_delay or loops.hands_of(scene) is not None:
         ranges = _RANGES + ", of constant delays" * (not controller.has_one_delay)
     values = {"inputs": basis_of(scene), "walls": checked}
-    return GainAnswer(values, remarks={"ranges": ranges}, short=_WALLS)
+    return GainAnswer(values, remarks={"ranges": ranges}, short=_WALLS, columns=_COLUMNS)
 
 
 _HORIZON = 2**17  # samples within which settling is looked for

@@ -329,7 +329,8 @@ def gain_limits(scene: GainScene) -> GainAnswer:
         given_row(one, two),
         pair_row("gains {}", "gains", one, two),
     )
-    return GainAnswer(values | {"gains": pairs}, is_stable=is_any, short=rows)
+    main = [*(f"{own.name}.{own.sense}_{own.name}" for own in gains), "gains.*.verdict"]
+    return GainAnswer(values | {"gains": pairs}, is_stable=is_any, short=rows, columns=main)
 
 
 def _checked(scene: GainScene, pair: dict[str, float]) -> GainAnswer:
@@ -376,7 +377,8 @@ def check_gains(scene: GainScene) -> GainAnswer:
     pairs = {name: _checked(scene, pair) for name, pair in scene.pairs.items()}
     both = " and ".join(f"{gain.name} = {{{gain.name}}}" for gain in scene.loop.gains)
     rows = [Template("gains {}", (f"{both}: {{verdict}}",), "gains")]
-    return GainAnswer(_stated(scene) | {"gains": pairs}, short=rows)
+    values = _stated(scene) | {"gains": pairs}
+    return GainAnswer(values, short=rows, columns=["gains.*.verdict"])
 
 
 def explain_gains(scene: GainScene) -> str:
@@ -439,7 +441,8 @@ def design_gains(scene: GainScene) -> GainAnswer:
     values[late] = largest_value(
         late, partial(at, late), own, goal, unit, (0.0, 256.0 * unit), is_whole=is_whole
     )
-    return GainAnswer(_stated(scene) | values, scene.stable.formats)
+    main = [f"{name}.largest_{name}" for name in (period, late)]
+    return GainAnswer(_stated(scene) | values, scene.stable.formats, columns=main)
 
 
 _ANSWERS: Mapping[str, Callable[[GainScene], GainAnswer]] = {

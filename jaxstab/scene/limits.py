@@ -240,6 +240,13 @@ _LIMITS = (
 )
 _HINT = Template("islands", ("{isolated}: see --islands",))
 _ISLANDS = _STIFFEST("island {}", "islands", more=", {reached}")
+_COLUMNS = (
+    "best.largest_stiffness",
+    "best.at_damping",
+    "all_hands.largest_stiffness",
+    "most_damped.largest_damping",
+    "walls.*.verdict",
+)
 _WALLS = (
     given_row("stiffness", "damping"),
     given_row("damping", "stiffness"),
@@ -300,6 +307,7 @@ def scene_limits(scene: Scene, *, islands: bool = False) -> GainAnswer:
             "isolated": "stable walls that are not connected to zero gains" if seen else None,
         },
         short=(*_LIMITS, _ISLANDS if islands else _HINT, *_WALLS),
+        columns=_COLUMNS,
     )
 
 
@@ -352,6 +360,7 @@ def _over_delays(scene: Scene) -> GainAnswer:
         },
         remarks={"hand": loops.at_lowest(scene, "") if controller.moves else None},
         short=(*_LIMITS, *_WALLS),
+        columns=_COLUMNS,
     )
 
 

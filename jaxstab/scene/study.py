@@ -22,7 +22,7 @@ depend on what else varies, on how many follow or on how the work is divided.
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
@@ -231,7 +231,7 @@ def quantiles(
     """
     shares_below = np.ravel(checked("at", at, 0.0, 1.0))
     _require_table(study)
-    is_limit = str(variable).startswith("largest_")
+    is_limit = sense_of(str(variable)) == "largest"
     for name in (variable, "limits_status")[: 1 + is_limit]:
         if str(name) not in study.variables:
             names = ", ".join(map(str, study.variables))
@@ -257,8 +257,46 @@ def walls_in(study: "Dataset") -> str:
 
 def limit_in(study: "Dataset") -> str | None:
     """Return the first limit of a study, such as ``largest_stiffness``, if it has limits."""
-    names = map(str, study.data_vars)
-    return next((name for name in names if name.startswith(("largest_", "least_"))), None)
+    return next(filter(sense_of, map(str, study.data_vars)), None)
+
+
+def sense_of(variable: str) -> str:
+    """Return "largest" or "least" for a limit of that sense; "" for another variable."""
+    sense, _, gain = variable.partition("_")
+    return sense if gain and sense in ("largest", "least") else ""
+
+
+def summary(study: "Dataset", *, is_small: bool) -> Iterator[tuple[str, "Dataset | None", str]]:
+    """Yield what is printed of a study: words, numbers, and the limit that these are of.
+
+    Of lists it is the table, if that is small, and how many loops are stable with each wall; of
+    draws the quantiles of a limit, and shares of stable walls.
+    """
+    walls, limit = walls_in(study), limit_in(study)
+    of_walls = [
+        name for name, own in study.coords.items() if own.dims == (walls,) and name != walls
+    ]
+    if SAMPLE not in study.dims:
+        if is_small:
+            yield "", study.drop_vars(of_walls), ""
+        for wall in study[walls].values if "verdict" in study else ():
+            codes = study.verdict.sel({walls: wall})
+            stable, undecided = (codes == Verdict.STABLE).sum(), (codes == Verdict.UNDECIDED).sum()
+            counts = f"{stable.item():,} of {codes.size:,} loops, {undecided.item():,} undecided"
+            yield f"{wall}: stable for {counts}", None, ""
+        return
+    draws = f"{study.sizes[SAMPLE]:,} draws"
+    if limit:
+        found: Any = quantiles(study, limit)
+        found = found if found.ndim > 1 else found.expand_dims({"": [draws]})
+        named = {0.05: "5th percentile", 0.5: "median", 0.95: "95th percentile"}
+        words = f"{limit.replace('_', ' ')} in {found.units}, over {draws}:"
+        yield words, found.to_dataset("quantile").rename(named), limit
+    if "verdict" in study:
+        found = shares(study).drop_vars(of_walls)
+        percent = 100.0 * found[["share", "low", "high"]]
+        words = f"proved stable in % of {draws}, with the 95 % confidence interval:"
+        yield words, percent.rename(share="stable").assign(undecided=found.undecided), ""
 
 
 def _require_table(study: Any) -> None:

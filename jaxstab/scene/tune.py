@@ -29,15 +29,15 @@ from jaxstab.scene import loops
 from jaxstab.scene.answers import (
     Basis,
     GainAnswer,
+    Quantity,
     basis_of,
     formats_of,
     printed_pair,
-    rounded_wall,
 )
 from jaxstab.scene.check import settled
 from jaxstab.scene.limits import StableGains, numbered
 from jaxstab.scene.scene import Scene, Units, presets
-from jaxstab.shown import Printed, exact_text
+from jaxstab.shown import Printed, exact_text, rounded_text, stable_pair
 from jaxstab.tuning import TuningStatus
 
 # The wall that is fastest at worst over the device's mass, the hands and the delay of a scene.
@@ -67,7 +67,7 @@ def tune_over_ranges(scene: Scene, fastest: Gains | None) -> GainAnswer | None:
         if wall.status == TuningStatus.NO_STABLE_GAINS:
             words = "no wall was found that settles over all of the ranges"
             return GainAnswer({"stiffness": None, "certainty": words}, is_stable=False)
-        rounded = Gains(*rounded_wall(wall.stiffness, wall.damping, partial(_is_stable, tried)))
+        rounded = _rounded(tried, Gains(wall.stiffness, wall.damping))
         times = settling_times(every, *rounded)
         slowest = int(np.argmax(times))
         if times[slowest] <= wall.settling_time or every[slowest] in tried:
@@ -90,6 +90,18 @@ def tune_over_ranges(scene: Scene, fastest: Gains | None) -> GainAnswer | None:
         },
         is_stable=worst.for_all == Verdict.STABLE,
     )
+
+
+def _rounded(own: list[HapticLoop], wall: Gains) -> Gains:
+    """A wall that is stable in each of some loops in few digits, with which it is printed."""
+    is_stable = partial(_is_stable, own)
+    nearest = Gains(*(float(rounded_text(gain, Quantity.digits)) for gain in wall))
+    if is_stable(*nearest):
+        return nearest
+    k, b = stable_pair(*wall, (Quantity.digits, Quantity.digits), is_stable)
+    if isinstance(k, Printed) and isinstance(b, Printed):
+        return Gains(float(k.text), float(b.text))
+    return Gains(k, b)
 
 
 def _is_stable(own: list[HapticLoop], stiffness: float, damping: float) -> bool:
@@ -139,7 +151,13 @@ def tune_walls(scene: Scene) -> GainAnswer:
             "at_given_stiffness": None if given is None else best("settling", given),
             "hand": loops.at_lowest(scene),
             "over_ranges": tune_over_ranges(scene, gains),
-        }
+        },
+        columns=(
+            "least_settling.stiffness",
+            "least_settling.damping",
+            "least_settling.settling_time_2_percent",
+            "walls.*.settling_time_2_percent",
+        ),
     )
 
 
@@ -156,7 +174,7 @@ def _best(
     if best.status in (TuningStatus.NO_STABLE_GAINS, TuningStatus.NOT_CALM):
         return BestWall({"rounded": None, "status": best.status}, is_stable=False)
     gains = Gains(best.stiffness, best.damping)
-    rounded = Gains(*rounded_wall(*gains, partial(_is_stable, [loop])))
+    rounded = _rounded([loop], gains)
     over_hands, over_delays = loops.hands_of(scene) is not None, not scene.controller.has_one_delay
     worst = loops.worst_on(scene, [rounded])[0][0] if over_hands or over_delays else None
     verdicts = {
@@ -285,7 +303,8 @@ def design_loop(scene: Scene) -> GainAnswer:
             ),
             "delay": largest("delay", delayed_loop, period, (0.0, most_samples * period)),
             "certainty": f"proved for every {loops.every_in_words(scene)}" if hands else None,
-        }
+        },
+        columns=("now_allowed_stiffness", "sample_time.largest_*", "delay.largest_*"),
     )
 
 
@@ -501,7 +520,8 @@ class Backwards:
             inputs = Basis(inputs.values | {"damping_is": None})
         # ``limits`` answers for all delays, ``design`` for the one that its answer names.
         is_for_all = command == "design" or has_one_delay
-        return GainAnswer({"inputs": inputs, "walls": walls}, is_stable=is_for_all)
+        values, main = {"inputs": inputs, "walls": walls}, ("walls.*.least_*", "walls.*.largest_*")
+        return GainAnswer(values, is_stable=is_for_all, columns=main)
 
 
 def _needs(wall: Gains, found: StableValues, units: Units, every: str) -> GainAnswer:
