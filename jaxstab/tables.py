@@ -321,7 +321,7 @@ def checked_label(name: str) -> str:
 
 
 @dataclass(frozen=True)
-class Number:
+class NumberCheck:
     """The check of a finite number in a unit, which says what is allowed."""
 
     allowed: str
@@ -336,9 +336,9 @@ class Number:
         return given
 
 
-def quantity(unit: str, *, is_positive: bool = False) -> Number:
+def quantity(unit: str, *, is_positive: bool = False) -> NumberCheck:
     """Return the check of a finite number in a unit, not negative."""
-    return Number(
+    return NumberCheck(
         f"a finite number {'> 0' if is_positive else '>= 0'} in {unit}",
         lambda value: value > 0.0 or (value == 0.0 and not is_positive),
         unit,
@@ -346,7 +346,7 @@ def quantity(unit: str, *, is_positive: bool = False) -> Number:
 
 
 @dataclass(frozen=True)
-class Interval:
+class IntervalCheck:
     """The check of a finite number in a unit, not negative, or of two in order."""
 
     unit: str
@@ -385,11 +385,11 @@ def _similar(name: str, names: list[str]) -> str | None:
     return max(begins, key=len) if begins else small[near[0]] if near else None
 
 
-any_number = Number("a finite number", lambda value: True)
+any_number = NumberCheck("a finite number", lambda value: True)
 
-share = Number("a number above 0 and at most 1", lambda value: 0.0 < value <= 1.0)
+share = NumberCheck("a number above 0 and at most 1", lambda value: 0.0 < value <= 1.0)
 
-tolerance = Number(
+tolerance = NumberCheck(
     "a number >= 0 and below 1, such as 0.1 for 10 %", lambda value: 0.0 <= value < 1.0
 )
 
@@ -420,9 +420,9 @@ def coefficients(value: Any) -> tuple[float, ...]:
     return tuple(numbers)
 
 
-def not_zero(unit: str) -> Number:
+def not_zero(unit: str) -> NumberCheck:
     """Return the check of a finite number in a unit, positive or negative."""
-    return Number(f"a finite number in {unit}, not 0", bool, unit)
+    return NumberCheck(f"a finite number in {unit}, not 0", bool, unit)
 
 
 def nested(kind: type["Table"]) -> Check:

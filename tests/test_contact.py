@@ -26,7 +26,7 @@ from jaxstab.motion import contact as kernel
 from jaxstab.pictures.scene import scene_figure
 from jaxstab.results import ContactKind
 from jaxstab.scene import Scene, check_walls, simulate_contacts
-from jaxstab.scene.scene import Contact
+from jaxstab.scene.scene import ContactTable
 
 PERIOD = 1e-3
 HELD = {"device_mass": 0.25, "device_damping": 0.1, "sample_time": PERIOD}
@@ -786,7 +786,7 @@ def test_friction_without_a_start_meets_the_push_of_a_finger() -> None:
     table = tomllib.loads(SCENE)
     del table["contact"]
     scene = Scene.from_table(table)
-    assert (scene.contact, scene.start) == (Contact(), (1.0, 0.1))  # N, m/s
+    assert (scene.contact, scene.start) == (ContactTable(), (1.0, 0.1))  # N, m/s
     assert (
         simulate_contacts(scene).walls["soft"].worst_start.startswith("at 0.1 m/s, pushed with 1 N")
     )

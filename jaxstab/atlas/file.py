@@ -40,7 +40,7 @@ Arrays = Mapping[str, Array]
 
 
 @dataclass(frozen=True)
-class Variable:
+class StoredVariable:
     """One dataset: its type, its dimensions (itself for an axis), what it means and its range."""
 
     name: str
@@ -72,20 +72,24 @@ class Variable:
         return given | dict(self.said)
 
 
-def _axis(name: str, long_name: str, words: str, highest: float = inf) -> Variable:
-    return Variable(name, "float64", (name,), long_name, words, 0.0, highest)
+def _axis(name: str, long_name: str, words: str, highest: float = inf) -> StoredVariable:
+    return StoredVariable(name, "float64", (name,), long_name, words, 0.0, highest)
 
 
-def _numbers(name: str, words: str) -> Variable:
-    return Variable(name, "int32", (name,), f"number along {name}", words, 0)
+def _numbers(name: str, words: str) -> StoredVariable:
+    return StoredVariable(name, "int32", (name,), f"number along {name}", words, 0)
 
 
-def _cells(axis: str) -> Variable:
+def _cells(axis: str) -> StoredVariable:
     return _numbers(f"{axis}_cell", "cell i lies between nodes i and i + 1; of one node, at it")
 
 
-def _field(name: str, long_name: str, words: str, low: float, high: float, **said: str) -> Variable:
-    return Variable(name, "float32", NODE, long_name, words, low, high, True, tuple(said.items()))
+def _field(
+    name: str, long_name: str, words: str, low: float, high: float, **said: str
+) -> StoredVariable:
+    return StoredVariable(
+        name, "float32", NODE, long_name, words, low, high, True, tuple(said.items())
+    )
 
 
 _PLANTS = (
@@ -102,7 +106,7 @@ LIMITS: Final = (
     _axis("row", "share of the stable interval of beta", "even, from 0 to 1", 1.0),
     _numbers("end", "0: the lower one, 1: the upper one"),
     *map(_cells, ("gamma", "delta", "delay", "row")),
-    Variable(
+    StoredVariable(
         "beta_limits",
         "float64",
         ("gamma", "delta", "delay", "end"),
@@ -111,7 +115,7 @@ LIMITS: Final = (
         "NaN: nothing is stable",
         has_nan=True,
     ),
-    Variable(
+    StoredVariable(
         "alpha_limits",
         "float64",
         ("gamma", "delta", "delay", "row", "end"),
@@ -121,10 +125,10 @@ LIMITS: Final = (
         "than one interval of alpha is stable there, or none",
         has_nan=True,
     ),
-    Variable(
+    StoredVariable(
         "beta_error", "float32", (*_PLANT_CELL, "end"), "measured error of beta_limits", _ERROR, 0.0
     ),
-    Variable(
+    StoredVariable(
         "alpha_error",
         "float32",
         (*_PLANT_CELL, "row_cell", "end"),
@@ -132,7 +136,7 @@ LIMITS: Final = (
         f"{_ERROR}. Rely on a limit only where alpha is four times this away from it",
         0.0,
     ),
-    Variable(
+    StoredVariable(
         "beyond",
         "int8",
         _PLANT_CELL,
@@ -142,7 +146,7 @@ LIMITS: Final = (
         1,
     ),
     _numbers("spec_line", "line of the specification"),
-    Variable(
+    StoredVariable(
         "spec",
         "S",
         ("spec_line",),
@@ -156,14 +160,14 @@ FIELD_VARIABLES: Final = (
     *_PLANTS,
     _numbers("alpha_node", "node i at delay k is at alpha[i, k]"),
     _numbers("beta_node", "node i at delay k is at beta[i, k]"),
-    Variable(
+    StoredVariable(
         "alpha",
         "float64",
         ("alpha_node", "delay"),
         "stiffness of the virtual wall",
         "K T^2/m; one column of ascending nodes for each delay",
     ),
-    Variable(
+    StoredVariable(
         "beta",
         "float64",
         ("beta_node", "delay"),
@@ -201,7 +205,7 @@ FIELD_VARIABLES: Final = (
         f"circle; {_LEFT_OUT}. {_UNRESOLVED}",
         *(-1.0, 1.0),
     ),
-    Variable(
+    StoredVariable(
         "outside",
         "int16",
         NODE,
@@ -290,7 +294,7 @@ def create_fields(file: h5py.File, axes: Arrays, chunk: Sequence[int]) -> h5py.G
     return group
 
 
-def _write_all(group: h5py.Group, variables: Sequence[Variable], arrays: Arrays) -> None:
+def _write_all(group: h5py.Group, variables: Sequence[StoredVariable], arrays: Arrays) -> None:
     """Write variables that are not packed, and a scale for each dimension."""
     largest_chunk = 2**17  # values of an array that is not laid out in tiles
     lengths = {
@@ -311,7 +315,7 @@ def _write_all(group: h5py.Group, variables: Sequence[Variable], arrays: Arrays)
 
 def _created(
     group: h5py.Group,
-    variable: Variable,
+    variable: StoredVariable,
     shape: Sequence[int],
     chunk: Sequence[int],
     dtype: np.dtype[Any],
@@ -463,7 +467,7 @@ def read_fields(path: Path) -> dict[str, Array]:
         return read_all(file[FIELDS], FIELD_VARIABLES)
 
 
-def read_all(group: h5py.Group, variables: Sequence[Variable]) -> dict[str, Array]:
+def read_all(group: h5py.Group, variables: Sequence[StoredVariable]) -> dict[str, Array]:
     """Read variables of a group; RefusalError for one that is not as it should be."""
     datasets = {v.name: checked_dataset(group, v) for v in variables}
     lengths = {v.name: datasets[v.name].shape[0] for v in variables if v.is_axis}
@@ -474,13 +478,13 @@ def read_all(group: h5py.Group, variables: Sequence[Variable]) -> dict[str, Arra
     return {v.name: _checked_values(v, datasets[v.name][()]) for v in variables}
 
 
-def _shape_of(variable: Variable, lengths: Mapping[str, int]) -> tuple[int, ...]:
+def _shape_of(variable: StoredVariable, lengths: Mapping[str, int]) -> tuple[int, ...]:
     """The shape that lengths of axes demand; an axis of cells is as long as its nodes allow."""
     axes = [(own, own.removesuffix("_cell")) for own in variable.dimensions]
     return tuple(lengths[x] if own == x else max(lengths[x] - 1, 1) for own, x in axes)
 
 
-def checked_dataset(group: h5py.Group, variable: Variable) -> h5py.Dataset:
+def checked_dataset(group: h5py.Group, variable: StoredVariable) -> h5py.Dataset:
     """A dataset of the type and the storage of its variable, and of a size that memory holds."""
     most_filters = {h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_FLETCHER32}
     largest_array = 2**31  # bytes that are read into memory at once
@@ -506,7 +510,7 @@ def checked_dataset(group: h5py.Group, variable: Variable) -> h5py.Dataset:
     return dataset
 
 
-def _checked_values(variable: Variable, values: Array) -> Array:
+def _checked_values(variable: StoredVariable, values: Array) -> Array:
     """Return values, read-only, in the range of their variable."""
     ordered = "gamma", "delta", "delay", "row", "alpha", "beta"
     if variable.dtype != "S":

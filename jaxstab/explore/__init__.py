@@ -10,7 +10,15 @@ from jaxstab.model.filters import Velocity, exact_chain, rounded
 from jaxstab.scene import Scene
 from jaxstab.scene.answers import delay_notes
 from jaxstab.scene.loops import hands_of, is_one_mass, loop_of, wall_region, walls_of
-from jaxstab.scene.scene import FINGER, Contact, Hand, Units, VelocityTable, presets, values_in
+from jaxstab.scene.scene import (
+    FINGER,
+    ContactTable,
+    HandTable,
+    Units,
+    VelocityTable,
+    presets,
+    values_in,
+)
 
 SCRIPTS = (
     *("plant", "polynomial", "loop", "region", "wall", "contact", "rules", "state"),
@@ -111,7 +119,7 @@ def _state(scene: Scene) -> dict[str, Any]:
 
 def _hand(scene: Scene, end: int) -> dict[str, float]:
     """Return the hand at the lowest (0) or highest (1) ends of its range."""
-    names, hand = ("handMass", "handStiffness", "handDamping"), scene.hand or Hand()
+    names, hand = ("handMass", "handStiffness", "handDamping"), scene.hand or HandTable()
     return {name: ends[end] for name, ends in zip(names, hand.ranges, strict=True)}
 
 
@@ -158,7 +166,7 @@ def _notes(scene: Scene, title: str) -> list[str]:
         "controller.max_force": controller.max_force is not None,
         "controller.force_step": controller.force_step > 0.0,
         "contact.one_sided": given and not given.one_sided,
-        "contact.duration": given and given.duration != Contact.duration,
+        "contact.duration": given and given.duration != ContactTable.duration,
     }
     names = ", ".join(name for name, is_given in ignored.items() if is_given)
     if given and names:

@@ -126,7 +126,7 @@ class Level(NamedTuple):
     colour: str
 
 
-class _Place(NamedTuple):
+class _TextPlace(NamedTuple):
     """Where a text may stand: beside a spot, so many points to the right of it and up."""
 
     spot: Spot
@@ -143,7 +143,8 @@ def write_names(panel: Axes, spots: Mapping[str, Spot], levels: Sequence[Level] 
         if not panel.bbox.contains(*panel.transData.transform(spot)):
             continue
         places = [
-            _Place(spot, (x, y), "left" if x > 0 else "right") for y, x in product(lifts, (9, -9))
+            _TextPlace(spot, (x, y), "left" if x > 0 else "right")
+            for y, x in product(lifts, (9, -9))
         ]
         box: Any = {"boxstyle": "round,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.75}
         look: Any = {"fontsize": 9, "zorder": 6, "bbox": box}
@@ -155,7 +156,7 @@ def write_names(panel: Axes, spots: Mapping[str, Spot], levels: Sequence[Level] 
         pixels = panel.transData.transform(level.points)
         points = level.points[[panel.bbox.contains(x, y) for x, y in pixels]]
         points = _farthest_first(panel, points[:: 1 + len(points) // most_places], taken)
-        places = [_Place((x, y), (0, 0), "center") for x, y in points]
+        places = [_TextPlace((x, y), (0, 0), "center") for x, y in points]
         look = {"fontsize": 8, "color": level.colour, "path_effects": HALO, "zorder": 4}
         if places:
             _write(panel, plain(level.words), places, taken, look)
@@ -189,8 +190,12 @@ def _marks(panel: Axes) -> list[Bbox]:
 
 
 def _write(
-    panel: Axes, words: str, places: Sequence[_Place], taken: list[Bbox], look: Mapping[str, Any]
-) -> _Place:
+    panel: Axes,
+    words: str,
+    places: Sequence[_TextPlace],
+    taken: list[Bbox],
+    look: Mapping[str, Any],
+) -> _TextPlace:
     """Write words at the best of some places, which is returned, and add them to what is taken."""
     text = panel.annotate(
         words, places[0].spot, (0, 0), textcoords="offset points", va="center", **look
@@ -198,7 +203,7 @@ def _write(
     drawn = [line for line in panel.get_lines() if line.get_linestyle() != "None"]
     paths = [panel.transData.transform_path(line.get_path()) for line in drawn]
 
-    def cost(place: _Place) -> tuple[bool, int, int]:
+    def cost(place: _TextPlace) -> tuple[bool, int, int]:
         box = _box(text, place)
         is_cut = not (panel.bbox.contains(*box.min) and panel.bbox.contains(*box.max))
         crossed = sum(path.intersects_bbox(box, filled=False) for path in paths)
@@ -209,7 +214,7 @@ def _write(
     return best
 
 
-def _box(text: Annotation, place: _Place) -> Bbox:
+def _box(text: Annotation, place: _TextPlace) -> Bbox:
     """Move a text to a place; the pixels that it covers there."""
     text.xy, text.xyann = place.spot, place.offset
     text.set_horizontalalignment(place.side)

@@ -22,7 +22,7 @@ from fnmatch import fnmatchcase
 from math import isfinite, isinf, isnan, nan
 from typing import Any, ClassVar, NamedTuple
 
-from jaxstab.scene.scene import Controller, Grip, Hand, Scene, Units
+from jaxstab.scene.scene import ControllerTable, Grip, HandTable, Scene, Units
 from jaxstab.shown import MOST_DIGITS, Printed, exact_text, rounded_text, stable_pair, table_text
 
 _LIMIT_DIGITS = 4
@@ -498,7 +498,7 @@ def _for_json(value: Any) -> Any:
 _ASSUMED = "assumed: the scene names none"
 
 
-def _delay_is(controller: Controller, constant: str | None) -> str | None:
+def _delay_is(controller: ControllerTable, constant: str | None) -> str | None:
     """Describe a range of delays and for which of them answers hold; None for one delay."""
     if controller.has_one_delay:
         is_given = controller.delay is not None or controller.delay_samples is not None
@@ -567,7 +567,7 @@ def basis_of(scene: Scene, *, at_longest: bool = False, constant: str = "the lon
 
 def blocks_of(scene: Scene) -> dict[str, str]:
     """The blocks of a scene's model in words: device, hand, controller."""
-    device, controller, hand = scene.device, scene.controller, scene.hand or Hand()
+    device, controller, hand = scene.device, scene.controller, scene.hand or HandTable()
     basis, units = basis_of(scene), scene.units
     mass, *own = (
         words.words(ends if ends[0] < ends[1] else ends[0], units)

@@ -143,7 +143,7 @@ _HORIZON = 2**17  # samples within which settling is looked for
 
 def _measured(
     scene: Scene,
-    wall: loops.WallVerdict,
+    wall: loops.JudgedWall,
     tried: list[HapticLoop],
     worst_loop: HapticLoop,
     *,

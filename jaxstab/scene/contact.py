@@ -38,7 +38,7 @@ _RESTS = "{contact} after {time_to_rest}, penetration {penetration} (simulated, 
 _MOVES = "{contact}[, amplitude {amplitude!} at {contact_frequency}] (simulated, {start})"
 
 
-class Simulated(GainAnswer):
+class WorstContact(GainAnswer):
     """The end of the worst of the simulated contacts."""
 
     def in_words(self, units: Units) -> str:
@@ -62,7 +62,7 @@ def simulate_contacts(scene: Scene) -> GainAnswer:
     return GainAnswer(values | {"walls": walls}, is_stable=rest)
 
 
-def contacts_of(scene: Scene) -> dict[str, Simulated]:
+def contacts_of(scene: Scene) -> dict[str, WorstContact]:
     """Return the worst simulated contact of each wall."""
     push, speed = scene.start
     pairs = dict.fromkeys([(push, 0.0), (0.0, speed), (push, speed)])
@@ -95,7 +95,7 @@ def contacts_of(scene: Scene) -> dict[str, Simulated]:
     }
 
 
-def contacts_or_reasons(scene: Scene) -> Mapping[str, Simulated | str]:
+def contacts_or_reasons(scene: Scene) -> Mapping[str, WorstContact | str]:
     """Return ``contacts_of``, if there is any; where one cannot be simulated, the reason."""
     if scene.contact is None:
         return {}
@@ -169,7 +169,7 @@ def walls_around(
     return np.linspace(0.0, stiffness, count + 1)[1:], np.linspace(0.0, damping, count)[:, None]
 
 
-def _simulated(scene: Scene, contact: Contact, start: tuple[float, float, float]) -> Simulated:
+def _simulated(scene: Scene, contact: Contact, start: tuple[float, float, float]) -> WorstContact:
     push, speed, phase = start
     words = [f"at {speed:g} {scene.units.speed}"] if speed else []
     words += [f"pushed with {Quantity('N').words(push, scene.units)}"] if push else []
@@ -182,7 +182,7 @@ def _simulated(scene: Scene, contact: Contact, start: tuple[float, float, float]
     if hands_of(scene) is not None:
         about.append("hand and device at their lowest values")
     frequency = float(contact.frequency)
-    return Simulated(
+    return WorstContact(
         {
             "contact": ContactKind(int(contact.kind)),
             "time_to_rest": float(contact.time_to_rest),

@@ -34,8 +34,8 @@ from jaxstab.scene.check import frequency_answer, stable_row
 from jaxstab.scene.limits import SAFETY, StableGains, given_row, limit_row, pair_row, standing
 from jaxstab.scene.loops import device_of, hands_of, loop_of
 from jaxstab.scene.scene import (
-    Device,
-    Hand,
+    DeviceTable,
+    HandTable,
     PositionTable,
     Scene,
     Units,
@@ -67,14 +67,14 @@ KEYS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class OtherDevice(Device):
+class OtherDevice(DeviceTable):
     """The second device of a coupling, with its hand and its delay."""
 
     has_options: ClassVar[bool] = False
 
     # Answers would not say that none is assumed.
     damping: float = t.key(t.quantity("N s/m"))
-    hand: Hand | None = t.key(t.nested(Hand), None)
+    hand: HandTable | None = t.key(t.nested(HandTable), None)
     delay_samples: float = t.key(t.quantity("samples"), 0.0)
 
 
@@ -95,7 +95,7 @@ def _loop(table: Any, held: Scene | None) -> tuple[Loop, tuple[float, float]]:
         given[name] = PositionTable.from_table(given[name], f"loop.{name}").as_filter()
     if "environment" in given:
         ends = t.checked(
-            "loop.environment", given["environment"], t.Interval("N/m", is_positive=True)
+            "loop.environment", given["environment"], t.IntervalCheck("N/m", is_positive=True)
         )
         given["environment"] = ends[1]
         if given.get("stiffness") and ends[0] < ends[1]:

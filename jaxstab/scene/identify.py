@@ -62,7 +62,7 @@ from jaxstab.model.linear_loop import loop_polynomial
 from jaxstab.motion.contact import Flow, Plant, Runs, Summary, series, series_at
 from jaxstab.numbers import checked, checked_number
 from jaxstab.scene.answers import Quantity
-from jaxstab.scene.scene import Controller, Device, Units
+from jaxstab.scene.scene import ControllerTable, DeviceTable, Units
 from jaxstab.shown import printable, rounded_text
 from jaxstab.tables import columns_of
 
@@ -433,7 +433,9 @@ def _stepped(setpoint: Numbers, position: Numbers) -> tuple[Rows, int, float]:
 
 def _warn_of_units(mass: float, period: float) -> None:
     """Warn of a sample time or a mass that no device has: a slip of units."""
-    usual = {x.name: x.metadata["usual"] for kind in (Device, Controller) for x in fields(kind)}
+    usual = {
+        x.name: x.metadata["usual"] for kind in (DeviceTable, ControllerTable) for x in fields(kind)
+    }
     masses = usual["inertia"].low, usual["mass"].high
     given = (
         ("sample_time", period, "s", *usual["sample_time"][:2]),

@@ -33,7 +33,7 @@ from jaxstab.model.filters import Velocity
 from jaxstab.numbers import checked_count, checked_number
 from jaxstab.scene.answers import FORMATS, Answer, GainAnswer, Quantity, formats_of, in_words
 from jaxstab.scene.loops import BUT_FOR_DRIFT
-from jaxstab.scene.scene import Controller, Units
+from jaxstab.scene.scene import ControllerTable, Units
 from jaxstab.shown import rounded_text, shortened, table_text
 from jaxstab.tables import text_of
 
@@ -128,7 +128,7 @@ def _control(
         )
     hertz = None if is_inside else checked_number("rate", rate, 0.0, is_open=True, unit="Hz")
     period = 1.0 / hertz if hertz else step
-    usual = Controller.__dataclass_fields__["sample_time"].metadata["usual"]
+    usual = ControllerTable.__dataclass_fields__["sample_time"].metadata["usual"]
     if hertz and not usual.low <= period <= usual.high:
         words = f"usual are {1.0 / usual.high:g} to {1.0 / usual.low:g} Hz; is it a sample time?"
         warnings.warn(f"rate is {hertz:g} Hz, {words}", stacklevel=3)

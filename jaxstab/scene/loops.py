@@ -18,14 +18,13 @@ from jaxstab.boxes.search import HandRange
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop, Region
 from jaxstab.loop.gains import TwoGains
-from jaxstab.model import Device, Mode
-from jaxstab.model import Hand as Arm
+from jaxstab.model import Device, Hand, Mode
 from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.model.filters import Velocity, given_filters
 from jaxstab.model.plant import DELTA_LIMIT, GAIN_LIMIT, GAMMA_LIMIT
 from jaxstab.region import RegionStatus
 from jaxstab.scene.answers import Answer, GainAnswer, Quantity, printed_pair
-from jaxstab.scene.scene import Hand, Scene, Units, range_in_words
+from jaxstab.scene.scene import HandTable, Scene, Units, range_in_words
 
 Floats = NDArray[np.float64]
 
@@ -84,7 +83,7 @@ def loop_of(scene: Scene, hand: OneHand | None = None) -> HapticLoop:
 
 def is_one_mass(scene: Scene) -> bool:
     """True if the device and a hand rigidly attached to it are one mass."""
-    device, hand = scene.device, scene.hand or Hand()
+    device, hand = scene.device, scene.hand or HandTable()
     return not device.modes and device.actuator is None and hand.grip is None
 
 
@@ -115,12 +114,12 @@ def walls_of(scene: Scene) -> dict[str, Gains]:
 
 def range_of_hands(scene: Scene) -> HandRange:
     """Return the range of hands; of a scene without a hand, that of no hand."""
-    mass, stiffness, damping = (scene.hand or Hand()).ranges
+    mass, stiffness, damping = (scene.hand or HandTable()).ranges
     return HandRange(mass=mass, stiffness=stiffness, damping=damping)
 
 
 def _lowest_hand(scene: Scene) -> OneHand:
-    return OneHand(*(low for low, _ in (scene.hand or Hand()).ranges))
+    return OneHand(*(low for low, _ in (scene.hand or HandTable()).ranges))
 
 
 def device_of(scene: Scene, hand: OneHand | None = None) -> Device:
@@ -140,7 +139,7 @@ def device_of(scene: Scene, hand: OneHand | None = None) -> Device:
         device = device.with_actuator(table.actuator.bandwidth)
     if scene.hand is None:
         return device
-    arm = Arm.mass_spring_damper(hand.mass, damping=hand.damping, stiffness=hand.stiffness)
+    arm = Hand.mass_spring_damper(hand.mass, damping=hand.damping, stiffness=hand.stiffness)
     grip = scene.hand.grip
     return device.held_by(
         arm if grip is None else arm.with_grip(stiffness=grip.stiffness, damping=grip.damping)
@@ -149,7 +148,7 @@ def device_of(scene: Scene, hand: OneHand | None = None) -> Device:
 
 def _check_scale(scene: Scene) -> None:
     """Refuse masses, hands and dampers that the model cannot compute, in the words of a scene."""
-    hand, period = scene.hand or Hand(), scene.controller.sample_time
+    hand, period = scene.hand or HandTable(), scene.controller.sample_time
     lightest, heaviest = map(add, scene.device.effective_mass, hand.effective_mass)
     damping, moved = scene.device.effective_damping + hand.damping[1], scene.units.moved
     gamma = hand.stiffness[1] * period * period / lightest
@@ -171,7 +170,7 @@ def _check_scale(scene: Scene) -> None:
 
 def ranges_of(scene: Scene) -> list[tuple[float, float]]:
     """Return the ends of mass, hand (3) and delay; ValueError for a delay that moves."""
-    hand, controller = scene.hand or Hand(), scene.controller
+    hand, controller = scene.hand or HandTable(), scene.controller
     if controller.moves:
         raise ValueError(
             f"the delay is {range_in_words(controller.delays)} s and moves, but this answer is for "
@@ -230,7 +229,7 @@ def stiffest_wall(wall: Gains, every: str | None = None, **more: Any) -> GainAns
     return GainAnswer(values | more, is_stable=is_found)
 
 
-class WallVerdict(GainAnswer):
+class JudgedWall(GainAnswer):
     """The verdict on a wall for all hands and delays, and the worst of them.
 
     The verdict is ``BUT_FOR_DRIFT`` for a stable damper on a device that nothing holds.
@@ -251,7 +250,7 @@ class WallVerdict(GainAnswer):
         return own if own == Verdict.UNSTABLE else self.hands_are or own
 
 
-def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[tuple[WallVerdict, HapticLoop]]:
+def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[tuple[JudgedWall, HapticLoop]]:
     """The verdict on each wall for all hands, masses and delays of a scene, and the worst loop.
 
     Of a delay that moves it is for every sequence; of one that is constant, but not known, for each
@@ -287,7 +286,7 @@ def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[tuple[WallVerdict, Ha
         is_stable = verdict in (Verdict.STABLE, BUT_FOR_DRIFT) and not tried
         values = gains._asdict() | {"verdict": verdict} | told
         remarks = {"every": None if hand is None or is_unstable else of_hands}
-        answers.append((WallVerdict(values, is_stable=is_stable, remarks=remarks), held))
+        answers.append((JudgedWall(values, is_stable=is_stable, remarks=remarks), held))
     return answers
 
 

@@ -124,13 +124,13 @@ class Actuator(t.Table):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Device(t.Table):
+class DeviceTable(t.Table):
     """The haptic device: effective mass in kg and physical damping in N s/m, or a preset.
 
     A device that turns has a moment of inertia in kg m^2 in place of the mass, and its damping is
     in N m s/rad; it is 0 if none is given. Mass or inertia may be a range, from the lowest to the
     highest one of all postures. Vibration modes and an actuator are of any device. Friction is
-    simulated, see ``Contact``.
+    simulated, see ``ContactTable``.
     """
 
     preset: str | None = t.key(
@@ -139,10 +139,13 @@ class Device(t.Table):
         words="a device by name; jaxstab scene presets lists names",
     )
     mass: tuple[float, float] | None = t.key(
-        t.Interval("kg", is_positive=True), None, t.Usual(1e-3, 50.0), words="mass of the device"
+        t.IntervalCheck("kg", is_positive=True),
+        None,
+        t.Usual(1e-3, 50.0),
+        words="mass of the device",
     )
     inertia: tuple[float, float] | None = t.key(
-        t.Interval("kg m^2", is_positive=True),
+        t.IntervalCheck("kg m^2", is_positive=True),
         None,
         t.Usual(1e-8, 50.0),
         words="moment of inertia of the device",
@@ -230,7 +233,7 @@ class Grip(t.Table):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Hand(t.Table):
+class HandTable(t.Table):
     """The hand that holds the device; each quantity a range from lowest to highest.
 
     With a grip these are of the arm behind it; without one the hand is rigidly attached to the
@@ -238,16 +241,16 @@ class Hand(t.Table):
     """
 
     mass: tuple[float, float] = t.key(
-        t.Interval("kg"), (0.0, 0.0), t.Usual(0.0, 20.0), words="mass of the hand"
+        t.IntervalCheck("kg"), (0.0, 0.0), t.Usual(0.0, 20.0), words="mass of the hand"
     )
     inertia: tuple[float, float] | None = t.key(
-        t.Interval("kg m^2"), None, t.Usual(0.0, 5.0), words="moment of inertia of the hand"
+        t.IntervalCheck("kg m^2"), None, t.Usual(0.0, 5.0), words="moment of inertia of the hand"
     )
     stiffness: tuple[float, float] = t.key(
-        t.Interval("N/m"), (0.0, 0.0), _STIFFNESS, words="stiffness of the hand"
+        t.IntervalCheck("N/m"), (0.0, 0.0), _STIFFNESS, words="stiffness of the hand"
     )
     damping: tuple[float, float] = t.key(
-        t.Interval("N s/m"), (0.0, 0.0), _DAMPING_OF_HANDS, words="damping of the hand"
+        t.IntervalCheck("N s/m"), (0.0, 0.0), _DAMPING_OF_HANDS, words="damping of the hand"
     )
     grip: Grip | None = t.key(t.nested(Grip), None)
 
@@ -362,7 +365,7 @@ def range_in_words(ends: tuple[float, float]) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Controller(t.Table):
+class ControllerTable(t.Table):
     """The sampling period in s, the delay of the loop in s or in samples, and the filters.
 
     A range of delays is of one that moves from sample to sample, the newest sample that has arrived
@@ -372,8 +375,10 @@ class Controller(t.Table):
     sample_time: float = t.key(
         t.quantity("s", is_positive=True), usual=t.Usual(1e-5, 0.05), words="sampling period"
     )
-    delay: tuple[float, float] | None = t.key(t.Interval("s"), None, words="delay")
-    delay_samples: tuple[float, float] | None = t.key(t.Interval("samples"), None, words="delay")
+    delay: tuple[float, float] | None = t.key(t.IntervalCheck("s"), None, words="delay")
+    delay_samples: tuple[float, float] | None = t.key(
+        t.IntervalCheck("samples"), None, words="delay"
+    )
     delay_is: str | None = t.key(
         t.one_of(("moving", "constant")),
         None,
@@ -464,7 +469,7 @@ class Controller(t.Table):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wall(t.Table):
+class WallTable(t.Table):
     """A virtual wall: stiffness K in N/m and damping B in N s/m."""
 
     stiffness: float = t.key(t.quantity("N/m"), usual=_STIFFNESS)
@@ -472,7 +477,7 @@ class Wall(t.Table):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Contact(t.Table):
+class ContactTable(t.Table):
     """The way in which the device meets a wall in simulated contacts; see ``Scene.start``."""
 
     push: float | None = t.key(
@@ -526,15 +531,15 @@ class Wanted(t.Table):
 class Scene:
     """A device, the hand that holds it, its controller, walls, and wishes."""
 
-    device: Device
-    controller: Controller
-    hand: Hand | None = None
-    walls: dict[str, Wall] = field(default_factory=dict)
+    device: DeviceTable
+    controller: ControllerTable
+    hand: HandTable | None = None
+    walls: dict[str, WallTable] = field(default_factory=dict)
     wanted: Wanted = field(default_factory=Wanted)
-    contact: Contact | None = None
+    contact: ContactTable | None = None
 
     def __post_init__(self) -> None:
-        hand, turns = self.hand or Hand(), self.device.units is Units.ROTATION
+        hand, turns = self.hand or HandTable(), self.device.units is Units.ROTATION
         most_samples_of_hands = 128  # the same for each of hundreds of hands of a range
         if hand.varies and self.controller.samples > most_samples_of_hands:
             raise ValueError(
@@ -549,7 +554,7 @@ class Scene:
         limits = self.controller.max_force, self.controller.force_step
         frictions = self.device.friction, self.device.static_friction
         if self.contact is None and any((*frictions, *limits)):  # verdicts are without these
-            object.__setattr__(self, "contact", Contact())
+            object.__setattr__(self, "contact", ContactTable())
         if turns and hand.mass != (0.0, 0.0):
             raise ValueError(
                 f"hand.mass is {list(hand.mass)} beside device.inertia; a device that turns moves "
@@ -577,7 +582,7 @@ class Scene:
     @property
     def start(self) -> tuple[float, float]:
         """Push and speed of simulated contacts; those of a finger where they are not given."""
-        given, (push, speed) = self.contact or Contact(), FINGER[self.units]
+        given, (push, speed) = self.contact or ContactTable(), FINGER[self.units]
         friction = self.device.static_friction or self.device.friction
         push = max(push, 2.0 * friction)  # it moves the device
         return (
@@ -635,7 +640,7 @@ class Scene:
     def _unusual(self) -> Iterator[str]:
         controller, units = self.controller, self.units
         tables: dict[str, t.Table] = {
-            "device": self.device, "hand": self.hand or Hand(), "controller": controller,
+            "device": self.device, "hand": self.hand or HandTable(), "controller": controller,
         } | {f"walls.{name}": wall for name, wall in self.walls.items()}  # fmt: skip
         found = [own for name, table in tables.items() for own in table.quantities(name)]
         for name, value, unit, usual in (*found, ("the delay", controller.delays[1], "s", _DELAYS)):
@@ -676,11 +681,11 @@ class Scene:
 
 
 TABLES: Mapping[str, type[t.Table]] = {
-    "device": Device,
-    "controller": Controller,
-    "hand": Hand,
+    "device": DeviceTable,
+    "controller": ControllerTable,
+    "hand": HandTable,
     "wanted": Wanted,
-    "contact": Contact,
+    "contact": ContactTable,
 }
 
 INNER: Mapping[str, type[t.Table]] = {
@@ -694,7 +699,7 @@ INNER: Mapping[str, type[t.Table]] = {
 """The tables in those of a scene, by their keys."""
 
 
-def walls_in(table: Any) -> dict[str, Wall]:
+def walls_in(table: Any) -> dict[str, WallTable]:
     """The walls of a table by name; ValueError."""
     if not isinstance(table, Mapping):
         raise ValueError(f"walls is {shortened(table)}; give a table [walls.NAME] for each wall.")
@@ -706,4 +711,4 @@ def walls_in(table: Any) -> dict[str, Wall]:
             raise ValueError(
                 f"walls.{name} is {shortened(wall)}; give a table [walls.NAME] for each wall."
             )
-    return {name: Wall.from_table(wall, f"walls.{name}") for name, wall in table.items()}
+    return {name: WallTable.from_table(wall, f"walls.{name}") for name, wall in table.items()}

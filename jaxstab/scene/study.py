@@ -415,7 +415,7 @@ def merged(paths: Sequence[Path]) -> "Dataset":
 
 
 @dataclass(frozen=True)
-class Column:
+class CsvColumn:
     """A column of a CSV file."""
 
     file: str
@@ -425,12 +425,12 @@ class Column:
 
 def is_distribution(given: Any) -> bool:
     """True if values can be drawn from it."""
-    return isinstance(given, Column) or (hasattr(given, "ppf") and hasattr(given, "kwds"))
+    return isinstance(given, CsvColumn) or (hasattr(given, "ppf") and hasattr(given, "kwds"))
 
 
 def words_of(given: Any) -> str:
     """A variation in words: a distribution with its parameters, or some of the values."""
-    if isinstance(given, Column):
+    if isinstance(given, CsvColumn):
         return f"csv:{given.file}:{given.name}"
     if is_distribution(given):
         pairs = (f"{name}={value}" for name, value in given.kwds.items())
@@ -486,7 +486,7 @@ def distribution_of(text: str) -> Any:
         values = tuple(t.columns_of(file, [column])[column])
         if not values:
             raise ValueError(f"{file} has no rows below its names; give measured values.")
-        return Column(file, column, values)
+        return CsvColumn(file, column, values)
     if not parts or isinstance(_number_or_text(kind), float):
         return None
     with suppress(ValueError):
@@ -538,9 +538,9 @@ def draws_of(
     ValueError: the distribution begins below that number, or most of it lies there; or its
     parameters make no draws.
     """
-    stream = f"{given.file} of {len(given.values)}" if isinstance(given, Column) else key
+    stream = f"{given.file} of {len(given.values)}" if isinstance(given, CsvColumn) else key
     uniform = np.random.default_rng([seed, *stream.encode()]).random(count)
-    if isinstance(given, Column):
+    if isinstance(given, CsvColumn):
         draws = np.array(given.values)[(uniform * len(given.values)).astype(np.int64)]
         low, below = draws.min(), 0.0
     else:
@@ -620,7 +620,7 @@ def _different(
 ) -> tuple[Columns, dict[str, NDArray[np.int64]]]:
     """Return columns in which equal rows of CSV files are once, and the place of each draw."""
     drawn = [key for key, column in columns.items() if SAMPLE in column.dims]
-    if not drawn or not all(isinstance(given[key], Column) for key in drawn):
+    if not drawn or not all(isinstance(given[key], CsvColumn) for key in drawn):
         return columns, {}
     rows = [columns[key].values for key in drawn]
     _, first, again = np.unique(rows, axis=1, return_index=True, return_inverse=True)
@@ -737,7 +737,7 @@ class _Source:
             match self.table.get(section):
                 case {**keys} if isinstance(keys.get(name), list | tuple):
                     with suppress(ValueError):  # the scene refuses it later
-                        low, high = t.Interval("")(keys[name])
+                        low, high = t.IntervalCheck("")(keys[name])
                         ranges |= {key: f"uniform:{low!r}:{high!r}"} if low < high else {}
         return ranges
 
