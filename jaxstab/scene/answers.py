@@ -18,7 +18,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 from enum import IntEnum
-from fnmatch import fnmatchcase
 from math import isfinite, isinf, isnan, nan
 from typing import Any, ClassVar, NamedTuple
 
@@ -210,11 +209,6 @@ class Template(NamedTuple):
     when: str = ""
     unless: str = ""
 
-    def words(self, said: Mapping[str, str]) -> str | None:
-        """The words of the row, from those of the values by name; None if it is left out."""
-        is_shown = self.unless not in said and (not self.when or self.when in said)
-        return first_way(self.ways, said) if is_shown else None
-
 
 def first_way(ways: Sequence[str], said: Mapping[str, str]) -> str | None:
     """The first of the ways of a ``Template`` whose values are there, in words."""
@@ -369,13 +363,9 @@ class GainAnswer(Answer):
         return found
 
     def main_paths(self) -> Iterator[str]:
-        """Yield the paths of the values for a table of several scenes, in the order of leaves."""
-        columns = [column.split(".") for column in self.columns]
-        for path, *_ in self.leaves():
-            names = path.split(".")
-            alike = (each for each in columns if len(each) == len(names))
-            if any(all(map(fnmatchcase, names, each)) for each in alike):
-                yield path
+        """Return the paths of the values for a table of several scenes, in the order of leaves."""
+        wanted = "|".join(self.columns).replace(".", r"\.").replace("*", "[^.]+")
+        return (path for path, *_ in self.leaves() if re.fullmatch(wanted, path))
 
     def in_short(self) -> str:
         """The facts of the inputs, and the rows of the short text, in columns."""
@@ -388,32 +378,31 @@ class GainAnswer(Answer):
         """Yield the names and words of the rows that have any."""
         said = {**around, **self._said(units)}
         for row in rows:
-            if not row.of:
-                words = row.words(said)
+            if row.of:
+                entry, indent = self.values.get(row.of) or {}, "  " * bool(row.ways)
+                for key, answer in (entry if isinstance(entry, dict) else {"": entry}).items():
+                    own = row._replace(name=row.name.format(key), of="")
+                    yield from answer._rows([own], said, units)
+                    inner = answer._rows(answer.short, said, units)
+                    yield from ((indent + name, words) for name, words in inner)
+            elif row.unless not in said and (row.when in said or not row.when):
+                words = first_way(row.ways, said)
                 yield from [] if words is None else [(row.name, words)]
-                continue
-            entry = self.values.get(row.of) or {}
-            for key, answer in (entry if isinstance(entry, dict) else {"": entry}).items():
-                own, indent = row._replace(name=row.name.format(key), of=""), "  " * bool(row.ways)
-                yield from answer._rows([own], said, units)
-                inner = answer._rows(answer.short, said, units)
-                yield from ((indent + name, words) for name, words in inner)
 
     def _said(self, units: Units) -> dict[str, str]:
         """The words of values by name, those of a dictionary together, for ``Template``."""
         said = dict[str, str]()
         for name, value in {**self.values, **self.remarks}.items():
-            own = [*value.values()] if isinstance(value, dict) else [value]
-            if isinstance(value, Answer):
-                words = value.in_words(units)
-            elif value is None or any(isinstance(each, Answer) for each in own):
-                continue
-            else:
-                words = ", also ".join(self._words(name, each, units) for each in own)
-            is_interval = isinstance(value, tuple)
+            every = value.values() if isinstance(value, dict) else [value] * (value is not None)
+            texts = (
+                each.in_words(units) if isinstance(each, Answer) else self._words(name, each, units)
+                for each in every
+            )
+            words, is_interval = ", also ".join(filter(None, texts)), isinstance(value, tuple)
             if words and (is_interval or words != Quantity.absent):
                 said[name] = words
-            if words != Quantity.absent if is_interval else _is_finite(value):
+            is_finite = isinstance(value, float) and isfinite(value)
+            if words != Quantity.absent if is_interval else is_finite:
                 said[f"{name}!"] = words
         return said
 
@@ -479,10 +468,6 @@ def line(indent: str, name: str, words: str) -> str:
     """A name and words, which begin in the column of all answers."""
     column = 34  # where values begin
     return f"{indent}{name:{column - len(indent)}}{words}"
-
-
-def _is_finite(value: Any) -> bool:
-    return isinstance(value, float) and isfinite(value)
 
 
 def _for_json(value: Any) -> Any:

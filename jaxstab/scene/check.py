@@ -36,8 +36,6 @@ _WALLS = (
         "walls",
     ),
 )
-
-
 _COLUMNS = "walls.*.verdict", "walls.*.stiffness_gain", "walls.*.settling_time_2_percent"
 
 

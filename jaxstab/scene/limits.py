@@ -206,7 +206,7 @@ def limit_row(
 
 def given_row(own: str, fixed: str) -> Template:
     """The row of the stable values of a gain at a value of the other one that is asked for."""
-    words = f"[{{{own}_limits}}|none] at {{at_{fixed}}}[, also {{other_{own}}}]"
+    words = f"{{{own}_limits}} at {{at_{fixed}}}[, also {{other_{own}}}]"
     return Template(f"stable {own}", (words,), f"at_given_{fixed}")
 
 
