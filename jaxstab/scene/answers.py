@@ -288,10 +288,6 @@ class Answer:
             for end, entry in zip(ends, values, strict=True):
                 yield path + end, _for_json(entry), words
 
-    def in_words(self, units: Units) -> str:
-        """The answer in a row of another one; "" where it has no words for that."""
-        return ""
-
     def __str__(self) -> str:
         return "\n".join(self.lines())
 
@@ -326,6 +322,14 @@ class Answer:
     def _words(self, name: str, value: Any, units: Units) -> str:
         is_text = isinstance(value, str | IntEnum)
         return in_words(value) if is_text else self._quantity(name).words(value, units)
+
+
+class Phrase(Answer):
+    """An answer that has words for a row of the one that it is in."""
+
+    def in_words(self, units: Units) -> str:
+        """The words, with units."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -394,11 +398,10 @@ class GainAnswer(Answer):
         said = dict[str, str]()
         for name, value in {**self.values, **self.remarks}.items():
             every = value.values() if isinstance(value, dict) else [value] * (value is not None)
-            texts = (
-                each.in_words(units) if isinstance(each, Answer) else self._words(name, each, units)
-                for each in every
-            )
-            words, is_interval = ", also ".join(filter(None, texts)), isinstance(value, tuple)
+            phrases = [each.in_words(units) for each in every if isinstance(each, Phrase)]
+            plain = [each for each in every if not isinstance(each, Answer)]
+            words = ", also ".join([*phrases, *(self._words(name, each, units) for each in plain)])
+            is_interval = isinstance(value, tuple)
             if words and (is_interval or words != Quantity.absent):
                 said[name] = words
             is_finite = isinstance(value, float) and isfinite(value)

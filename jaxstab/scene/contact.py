@@ -24,7 +24,7 @@ from jaxstab.loop import Contact, ContactKind, HapticLoop
 from jaxstab.loop.contact import contact, setup_of
 from jaxstab.model import LoopParameters
 from jaxstab.numbers import checked, require_kind
-from jaxstab.scene.answers import GainAnswer, Quantity, basis_of, first_way
+from jaxstab.scene.answers import GainAnswer, Phrase, Quantity, basis_of, first_way
 from jaxstab.scene.loops import Floats, hands_of, loop_of, walls_of
 from jaxstab.scene.scene import Scene, Units
 from jaxstab.shown import shortened
@@ -38,7 +38,7 @@ _RESTS = "{contact} after {time_to_rest}, penetration {penetration} (simulated, 
 _MOVES = "{contact}[, amplitude {amplitude!} at {contact_frequency}] (simulated, {start})"
 
 
-class WorstContact(GainAnswer):
+class WorstContact(GainAnswer, Phrase):
     """The end of the worst of the simulated contacts."""
 
     def in_words(self, units: Units) -> str:

@@ -23,14 +23,14 @@ from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.model.filters import Velocity, given_filters
 from jaxstab.model.plant import DELTA_LIMIT, GAIN_LIMIT, GAMMA_LIMIT
 from jaxstab.region import RegionStatus
-from jaxstab.scene.answers import Answer, GainAnswer, Quantity, printed_pair
+from jaxstab.scene.answers import GainAnswer, Phrase, Quantity, printed_pair
 from jaxstab.scene.scene import HandTable, Scene, Units, range_in_words
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class OneHand(Answer):
+class OneHand(Phrase):
     """A hand of the range, and the mass of the device if that varies; None for its lowest one."""
 
     mass: float
