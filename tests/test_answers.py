@@ -3,7 +3,7 @@
 import itertools
 import json
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, isfinite, nan
 from pathlib import Path
 from typing import Any
@@ -26,10 +26,7 @@ from jaxstab.model.loop import as_one
 from jaxstab.pictures.scene import scene_figure
 from jaxstab.point import spectral_radius, verdict
 from jaxstab.scene import Scene, check_walls, design_loop, scene_limits
-from jaxstab.scene.answers import (
-    Answer,
-    Quantity,
-)
+from jaxstab.scene.answers import Answer, GainAnswer, Quantity, Template
 from jaxstab.scene.scene import Units
 
 FREE = ["--mass", "1", "--damping", "0", "--sample-time", "0.05", "--delay", "0"]
@@ -491,6 +488,31 @@ def test_what_check_does_not_print_is_not_computed() -> None:
     for name in ("distance_to_boundary", "spectral_radius", "damping_ratio", "extra_delay_moving"):
         assert wall.values.get(name) is None
         assert whole.walls["a"].values[name] is not None
+
+
+def test_a_row_of_a_short_text_is_its_first_way_of_which_all_values_are_there() -> None:
+    inner = GainAnswer(
+        {"stiffness": inf, "damping": nan, "frequency": 2.0, "stiffness_limits": (nan, nan)}
+    )
+    rows = (
+        Template("first", ("{safety} and {unknown}", "{safety}[ of {unknown}| alone]")),
+        Template("left out", ("{unknown}",)),
+        Template("not there", ("words",), when="unknown"),
+        Template("beside another", ("words",), unless="safety"),
+        Template(
+            "entry {}",
+            ("{stiffness}[ at {damping}], [a {stiffness!}|no] limit; {safety}",),
+            "walls",
+        ),
+    )
+    own = Template("inside", ("{frequency!}, {stiffness_limits}[ within {stiffness_limits!}]",))
+    walls = {"{[x|y]}": replace(inner, short=[own])}
+    answer = GainAnswer({"inputs": GainAnswer({}), "safety": 0.5, "walls": walls}, short=rows)
+    assert answer.in_short().splitlines() == [
+        "first          0.5 alone",
+        "entry {[x|y]}  unlimited, no limit; 0.5",
+        "  inside       2 Hz, none",
+    ]
 
 
 def test_stable_gains_that_are_not_resolved_are_named(monkeypatch: pytest.MonkeyPatch) -> None:

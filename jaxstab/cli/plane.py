@@ -284,10 +284,10 @@ def region(
 
 
 def _fact(name: str, value: Any) -> str:
-    """A number, a point or a list of points; the largest values are not rounded up."""
-    from jaxstab.paper.facts import DIGITS
+    """A number, a point or a list of points."""
+    from jaxstab.paper.facts import DIGITS, LARGEST
 
     if isinstance(value, list):
         return f"({', '.join(_fact(name, entry) for entry in value)})"
-    way = ROUND_FLOOR if name.startswith("largest") else ROUND_HALF_EVEN
+    way = ROUND_FLOOR if name in LARGEST else ROUND_HALF_EVEN
     return number_text(value, DIGITS, way) if isinstance(value, float) else "none"

@@ -152,6 +152,7 @@ def _line(loop: LoopParameters, level: float) -> tuple[Factored, Factored]:
 
 # ---------------------------------------------------------------------------------------- the facts
 DIGITS = 10  # that are printed
+LARGEST = "largest_alpha", "largest_beta", "largest_passive_alpha"  # which are not rounded up
 
 _kept_region = lru_cache(8)(stable_region)  # who asks for facts asks for a picture, too
 

@@ -935,9 +935,10 @@ def _described(key: str) -> tuple[str, str]:
     section = key.split(".")[-3] if section.isdigit() else section
     table = {**TABLES, **INNER}.get(section, t.Table)
     entry = {entry.name: entry for entry in fields(table)}.get(name)
-    if key.startswith("loop.second."):
-        words, unit = _described(key.removeprefix("loop.").replace("second", "device"))
-        return f"{words}, the second one", unit
-    if key.startswith("loop."):
-        return KEYS.get(name, (key, ""))
+    match key.split("."):
+        case ["loop", "second", _, *_] as names:
+            words, unit = _described(".".join(["device", *names[2:]]))
+            return f"{words}, the second one", unit
+        case ["loop", _, *_]:
+            return KEYS.get(name, (key, ""))
     return (key, "1") if entry is None else (entry.metadata["words"] or key, t.unit_of(entry))
