@@ -505,13 +505,13 @@ def test_a_row_of_a_short_text_is_its_first_way_of_which_all_values_are_there() 
             "walls",
         ),
     )
-    own = Template("inside", ("{frequency!}, {stiffness_limits}[ within {stiffness_limits!}]",))
+    own = Template("inside", ("{frequency!}[ within {stiffness_limits}]",))
     walls = {"{[x|y]}": replace(inner, short=[own])}
     answer = GainAnswer({"inputs": GainAnswer({}), "safety": 0.5, "walls": walls}, short=rows)
     assert answer.in_short().splitlines() == [
         "first          0.5 alone",
         "entry {[x|y]}  unlimited, no limit; 0.5",
-        "  inside       2 Hz, none",
+        "  inside       2 Hz",
     ]
 
 

@@ -195,9 +195,9 @@ class Template(NamedTuple):
     """A row of a short text: its name, and ways to say it, with ``{name}`` for a value's words.
 
     The first way is taken whose values are there: NaN is not, and ``{name!}`` asks for a finite
-    number, or an interval with values. In brackets ways are separated by |; where all of them lack
-    a value the brackets say nothing. A row is left out without a way, without the value ``when``,
-    and beside the value ``unless``.
+    number, or an interval. In brackets ways are separated by |; where all of them lack a value the
+    brackets say nothing. A row is left out without a way, without the value ``when``, which may be
+    NaN, and beside the value ``unless``.
 
     A row of an entry takes values of this before those around it, and the entry's own rows follow.
     Of a dictionary each entry has a row, and its key stands for {} in the name.
@@ -380,6 +380,10 @@ class GainAnswer(Answer):
         self, rows: Sequence[Template], around: Mapping[str, str], units: Units
     ) -> Iterator[tuple[str, str]]:
         """Yield the names and words of the rows that have any."""
+
+        def is_there(name: str) -> bool:
+            return self.values.get(name) is not None
+
         said = {**around, **self._said(units)}
         for row in rows:
             if row.of:
@@ -389,7 +393,7 @@ class GainAnswer(Answer):
                     yield from answer._rows([own], said, units)
                     inner = answer._rows(answer.short, said, units)
                     yield from ((indent + name, words) for name, words in inner)
-            elif row.unless not in said and (row.when in said or not row.when):
+            elif not is_there(row.unless) and (is_there(row.when) or not row.when):
                 words = first_way(row.ways, said)
                 yield from [] if words is None else [(row.name, words)]
 
@@ -401,12 +405,10 @@ class GainAnswer(Answer):
             phrases = [each.in_words(units) for each in every if isinstance(each, Phrase)]
             plain = [each for each in every if not isinstance(each, Answer)]
             words = ", also ".join([*phrases, *(self._words(name, each, units) for each in plain)])
-            is_interval = isinstance(value, tuple)
-            if words and (is_interval or words != Quantity.absent):
+            if words not in ("", Quantity.absent):
                 said[name] = words
-            is_finite = isinstance(value, float) and isfinite(value)
-            if words != Quantity.absent if is_interval else is_finite:
-                said[f"{name}!"] = words
+                if isinstance(value, tuple) or (isinstance(value, float) and isfinite(value)):
+                    said[f"{name}!"] = words
         return said
 
     def _values(self) -> Mapping[str, Any]:

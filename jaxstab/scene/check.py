@@ -42,7 +42,7 @@ _COLUMNS = "walls.*.verdict", "walls.*.stiffness_gain", "walls.*.settling_time_2
 def stable_row(name: str, unless: str, *gains: tuple[str, str, str]) -> Template:
     """The row of the stable values of two gains: of each the name, a symbol and the other one."""
     words = (
-        f"[{symbol} from {{{own}_limits!}}|{symbol} is {{{own}_unresolved}}|no {symbol}]"
+        f"[{symbol} from {{{own}_limits!}}|{symbol} is {{{own}_limits}}|no {symbol}]"
         f"[, also {{other_{own}}}] at {other}"
         for own, symbol, other in gains
     )
@@ -174,9 +174,7 @@ def _measured(
         for name in ("stiffness_gain", "damping_gain", "extra_delay"):
             answers[name] = float(getattr(margins, name).min())
     if "margins" in asked and (in_full or not wall.worst_delays):
-        stable, unresolved = _stable_around(tried, gains)
-        answers |= stable
-        remarks |= unresolved
+        answers |= _stable_around(tried, gains)
     own = found("frequency", wall_frequency_margins, in_full=wanted.frequency)
     if own is not None:
         answers["margins_over_frequency"] = frequency_answer(own, in_full=wanted.frequency)
@@ -234,18 +232,17 @@ def _measured(
     return answers, remarks
 
 
-def _stable_around(every: list[HapticLoop], gains: Gains) -> tuple[dict[str, Any], dict[str, str]]:
-    """The stable values of one gain at the other one, for all loops, and what is not resolved."""
+def _stable_around(every: list[HapticLoop], gains: Gains) -> dict[str, Any]:
+    """The stable values of one gain at the other one, for all loops."""
     stable, rows = StableGains(every[0], besides=(*every[1:],)), dict[str, Any]()
-    unresolved = dict[str, str]()
     for own, value, fixed, at in (
         (*pair, *other) for pair, other in permutations(zip(HapticLoop.gains, gains, strict=True))
     ):
         try:
             rows |= stable.row(fixed, at, value)
         except ValueError:
-            unresolved[f"{own.name}_unresolved"] = rows[f"{own.name}_limits"] = "not resolved"
-    return rows, unresolved
+            rows[f"{own.name}_limits"] = "not resolved"
+    return rows
 
 
 _PHASE = "{phase_margin}[ at {phase_margin_at}]"

@@ -206,14 +206,14 @@ def limit_row(
 
 def given_row(own: str, fixed: str) -> Template:
     """The row of the stable values of a gain at a value of the other one that is asked for."""
-    words = f"{{{own}_limits}} at {{at_{fixed}}}[, also {{other_{own}}}]"
+    words = f"[{{{own}_limits}}|none] at {{at_{fixed}}}[, also {{other_{own}}}]"
     return Template(f"stable {own}", (words,), f"at_given_{fixed}")
 
 
 def pair_row(name: str, of: str, own: str, other: str) -> Template:
     """The row of pairs of gains: how each stands to the limits of its first gain, or a verdict."""
     pair, exception = f"{{{own}}} at {{{other}}}", "[; {exception}]"
-    to_limits = f"{pair}, {{standing}}[ of {{{own}_limits!}}][, also {{other_{own}}}]"
+    to_limits = f"{pair}, {{standing}}[ of {{{own}_limits}}][, also {{other_{own}}}]"
     verdict = f"{pair}, {{verdict}}[, {{worst_delays}}]"
     return Template(name, (to_limits + exception, verdict + exception), of)
 
