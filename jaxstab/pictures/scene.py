@@ -66,7 +66,7 @@ from jaxstab.scene.answers import (
 from jaxstab.scene.check import check_walls
 from jaxstab.scene.contact import simulated_map, walls_around
 from jaxstab.scene.gains import GainScene
-from jaxstab.scene.limits import StableWalls, passive_walls
+from jaxstab.scene.limits import StableGains, passive_walls
 from jaxstab.scene.scene import Encoder, Scene, Units
 from jaxstab.scene.study import (
     SAMPLE,
@@ -231,7 +231,7 @@ def scene_figure(scene: Scene | GainScene, answer: GainAnswer | None = None) -> 
         draw_responses(panels[-1], scene, given.walls)
         panels[-1].set_title("Response to a constant push")
     elif isfinite(region.stiffest.stiffness):
-        printed = StableWalls(loop).limit(loop.gains[0], *region.stiffest)
+        printed = StableGains(loop, are_walls=True).limit(loop.gains[0], *region.stiffest)
         pair = printed.largest_stiffness, printed.at_damping
         label = plain(f"stiffest: {_gains_text(*pair, scene.units, _LARGEST)}")
         panels[0].plot(*region.stiffest, ">", color=ORANGE, ms=9, mec=BLACK, label=label)
