@@ -327,7 +327,7 @@ def margins(
     code, *found = asked_of_lanes(ask, loop_of, arrays, count, is_count=True)
     ends = xp.stack(found[::2], axis=-1)
     if is_jax(point):
-        from jaxstab.loop.moving import moving_ends
+        from jaxstab.loop.implicit import moving_ends
 
         ends = moving_ends(point, ends, xp.stack(found[1::2], axis=-1), filters)
     alone = ends[..., :4].reshape(*ends.shape[:-1], 2, 2)
