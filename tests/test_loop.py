@@ -240,6 +240,8 @@ def test_methods_about_walls_broadcast_with_fields_that_are_arrays(
         one = replace(MANY, device_mass=float(masses[index]), delay=float(delays[index]))
         own = getattr(one, method)(stiffness[index[-1]], 5.0, **options)
         for column, value in zip(columns, own if isinstance(own, tuple) else (own,), strict=True):
+            if not isinstance(column, np.ndarray):  # names, and what one loop alone has
+                continue
             known = np.asarray(value)
             found = column[index][: known.size] if known.ndim else column[index]
             np.testing.assert_allclose(found, known, rtol=1e-9, atol=1e-11)

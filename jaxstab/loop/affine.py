@@ -1,6 +1,6 @@
 """Any sampled loop that is affine in two gains, its answers named by the gains, and its doors.
 
-What it shares with walls stands in ``loop.gains``, what regions are in ``loop.region``.
+What it shares with walls stands in ``loop.gains`` and ``loop.answers``.
 
 Coefficients that are exact numbers have one more proof: where some roots have the product 1 for
 all gains, as without damping, no precision of balls decides, and fractions do.
@@ -20,9 +20,9 @@ from jaxtyping import Float64
 from jaxstab.arrays import Array, Numbers, float_arrays, namespace, repeat_and_keep
 from jaxstab.conventions import HORIZON, Range, Verdict
 from jaxstab.exact.response import motion_settled_after
-from jaxstab.loop.gains import TwoGains
+from jaxstab.loop.answers import Answers
 from jaxstab.loop.margins import stable_pairs
-from jaxstab.loop.region import TOLERANCE, Gains, Limits, Region, Tuned, region_of_loop
+from jaxstab.loop.region import TOLERANCE, Gains, Region, Tuned, region_of_loop
 from jaxstab.model import LoopParameters
 from jaxstab.model.affine import (
     RULES,
@@ -64,7 +64,7 @@ Given = ParamSpec("Given")
 
 
 @dataclass(frozen=True, repr=False)
-class Loop(TwoGains):
+class Loop(Answers):
     """A sampled loop whose characteristic polynomial is affine in two gains.
 
     p(z) = base + a S + b R, with any polynomials. Make one with ``from_coefficients``, or by
@@ -199,23 +199,6 @@ class Loop(TwoGains):
         """
         tolerance = checked_number("tolerance", tolerance, 1e-10, is_open=True)
         return region_of_loop(self, tolerance)
-
-    def limits(self) -> Limits[float]:
-        """The largest stable value of each gain, or the least, as of an admittance.
-
-        They are read off the region: it is not proved that no stable gains were missed beyond.
-        Printed, largest values are rounded down and least ones up, and each pair is stable.
-
-        Raises: as ``region``.
-
-        Example:
-            >>> jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4).limits()
-            Limits: the boundary closes to loops
-              least    mass = 0.015851 kg at damping = 26.701 N s/m
-              least    damping = 26.701 N s/m at mass = 0.015851 kg
-              islands  none found
-        """
-        return self.region().limits()
 
     def tune(self) -> Tuned:
         """The gains >= 0 of the smallest spectral radius: the fastest decay.

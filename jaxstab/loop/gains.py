@@ -9,7 +9,6 @@ for ``jaxstab.point``.
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from functools import partial
 from math import inf
 from typing import TYPE_CHECKING, Any, ClassVar, overload
 
@@ -21,18 +20,14 @@ from jaxstab.arrays import Array, Numbers, is_any_jax, is_any_traced, is_jax, na
 from jaxstab.conventions import Verdict
 from jaxstab.exact.line import LineStatus
 from jaxstab.exact.roots import affine_verdict
-from jaxstab.loop.margins import FrequencyMargins, Margins, loop_margins, wall_frequency_margins
-from jaxstab.loop.region import TOLERANCE, Region
 from jaxstab.model.affine import AffineParts, Chart, affine_triple
-from jaxstab.model.balls import Factored, Triple, rounded_triple
+from jaxstab.model.balls import Factored, Triple
 from jaxstab.model.gain import Gain
 from jaxstab.model.linear_loop import LinearLoop
-from jaxstab.model.plant import checked_gain, wall_grid
-from jaxstab.numbers import checked_number, checked_word
+from jaxstab.model.plant import wall_grid
+from jaxstab.numbers import checked_number
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from jaxstab.model.loop import LoopParameters
 
 _FEW = 100  # pairs of gains, which balls answer one by one
@@ -107,10 +102,6 @@ class TwoGains(ABC):
     @abstractmethod
     def _in_units(self, first: Numbers, second: Numbers) -> tuple[Array, Array]:
         """Gains, checked, as those of ``_pairs``."""
-
-    @abstractmethod
-    def region(self, *, tolerance: float = TOLERANCE) -> Region:
-        """The set of all stable gains."""
 
     @property
     def coordinates(self) -> tuple[Gain, Gain]:
@@ -282,146 +273,6 @@ class TwoGains(ABC):
             return self._line((number, 0.0), (0.0, 1.0))
         return self._line((0.0, number), (1.0, 0.0))
 
-    def boundary(self, *, tolerance: float = 1e-6) -> Float64[np.ndarray, "point 2"]:
-        """The outline of the stable gains, loop after loop, each of them closed.
-
-        It is the ``outline`` of ``region`` in the gains themselves: NaN or infinite where these
-        are, as an admittance's endless mass.
-
-        Args and Raises: as ``region``.
-
-        Example:
-            >>> robot = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
-            >>> mass, damping = robot.boundary().T
-            >>> print(f"{mass[mass > 0].min():.4f} kg")
-            0.0159 kg
-        """
-        outline = self.region(tolerance=tolerance).outline
-        with np.errstate(all="ignore"):
-            return np.stack(self._chart.gains(*outline.T), axis=-1)
-
-    def margins(self, *wall: Numbers, **gains: Numbers) -> Margins:
-        """Proved factors by which each gain, and both at once, may grow and shrink.
-
-        A margin of the delay is that of a plant between samples, which a loop of given polynomials
-        does not have: a wall on a held device has it.
-
-        Args and Raises: as ``spectral_radius``; TypeError for JAX arrays.
-
-        Source: lemma E3 of docs/proofs.md.
-
-        Example:
-            >>> loop = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
-            >>> loop.margins(mass=2.0, damping=50.0)
-            Margins: stable  least   largest    factors
-            mass (kg)        0.0275  unlimited  0.01375 to unlimited
-            damping (N s/m)  39.516  3995       0.79032 to 79.9
-            both                                0.78782 to unlimited
-        """
-        grid = wall_grid(**self._named(wall, gains))
-        return loop_margins(self, self._verdicts(grid), grid)
-
-    def frequency_margins(self, *wall: Numbers, **gains: Numbers) -> FrequencyMargins:
-        """Gain, phase, delay and disk margin, and the peaks of |S| and |T|: proved.
-
-        The loop is opened as by ``to_control``.
-
-        Args and Raises: as ``spectral_radius``; TypeError also if JAX traces the loop or the gains.
-
-        Returns:
-            FrequencyMargins, each with the bound of its error and its frequency in Hz.
-
-        Source: the criterion of Nyquist; lemma E5 of docs/proofs.md.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> phase = loop.frequency_margins(1000.0, 10.0).phase
-            >>> print(f"{phase.value:.1f} degrees at {phase.frequency:.1f} Hz")
-            52.9 degrees at 20.6 Hz
-        """
-        return self._frequency_margins(*self._named(wall, gains).values())
-
-    def plot(
-        self,
-        kind: str = "region",
-        *wall: float,
-        ax: "Axes | None" = None,
-        **gains: float,
-    ) -> "Axes":
-        """Draw the stable gains, or the open loop of one pair of gains over frequency.
-
-        Args:
-            kind: "region" for the stable gains, the largest of them, islands and, if it applies,
-                the linear rule; "nyquist" and "bode" for the open loop of one pair.
-            *wall: that wall, K in N/m and B in N s/m.
-            ax: the axes of matplotlib to draw in; None makes a figure with matplotlib.pyplot.
-            **gains: both gains of that pair, by their names.
-
-        Raises:
-            ValueError: no gains are stable, or the region is unresolved, or the kind is none.
-            TypeError: JAX traces the loop, or a gain is missing, or one too many.
-
-        Source: sec. V and VI of Hulin, Preusche, Hirzinger (2008); the criterion of Nyquist.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> loop.plot().get_xlabel(), loop.plot("nyquist", 1000.0, 10.0).get_xlabel()
-            ('stiffness K (N/m)', 'Re L')
-            >>> loop = jaxstab.simulated_pd(0.1, step=2e-3)
-            >>> loop.plot().get_xlabel(), loop.plot("bode", kp=1000.0, kd=20.0).get_xlabel()
-            ('kp (N m/rad)', 'frequency (Hz)')
-        """
-        from jaxstab.pictures.style import plot_loop, plot_open_loop
-
-        checked_word("kind", kind, ("region", "nyquist", "bode"))
-        if kind == "region":
-            if wall or gains:
-                raise TypeError('gains are given beside kind "region", which is of all gains.')
-            return plot_loop(self, ax)
-        pair = [checked_number(*gain) for gain in self._named(wall, gains).items()]
-        response = partial(exact.frequency_response, partial(self._opened, *pair))
-        margins = self._frequency_margins(*pair)
-        return plot_open_loop(kind, margins, response, float(self.sample_time), ax)
-
-    def to_control(self, *wall: float, **gains: float) -> Any:
-        """The open loop L(z) = (a S + b R)/base as a transfer function of python-control.
-
-        Of a wall it is G(z) (K P(z) + B V(z)), with device, hold and delay in G; of PID control all
-        three gains are in it, the given one as well. Closed with a feedback of -1 it has the poles
-        of the loop, and its frequency response shows the margins in a Nyquist plot. Where the gains
-        move the leading coefficient of p(z), the parts are those of p over it, by the
-        ``coordinates``: an admittance is opened at its acceleration.
-
-        Args and Raises: as ``spectral_radius``; ImportError without python-control. The gains are
-        single numbers.
-
-        Returns:
-            ``control.TransferFunction`` with dt, the sample time; coefficients rounded to float64.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> loop.to_control(1000.0, 10.0).dt  # doctest: +SKIP
-        """
-        pair = self._named(wall, gains)
-        first, second = (checked_number(name, checked_gain(name, x)) for name, x in pair.items())
-        try:
-            from control import TransferFunction
-        except ImportError as error:
-            raise ImportError(
-                "python-control is not installed; pip install 'jaxstab[control]'."
-            ) from error
-
-        def opened() -> Triple:
-            below, above = self._opened(first, second)
-            return Triple.from_parts(below, above, above.scaled(0)).monic()
-
-        loop = rounded_triple(opened, 1.0, 1.0)
-        above, below = ([float(c.rounded()) for c in side] for side in (loop.stiffness, loop.base))
-        if not np.all(np.isfinite(above)):
-            words = " and ".join(f"{name} is {number:g}" for name, number in pair.items())
-            raise ValueError(f"{words}, where p(z) loses its highest power; give other gains.")
-        return TransferFunction(above, below, dt=float(self.sample_time))
-
     def _named(self, wall: tuple[Any, ...], gains: Mapping[str, Any]) -> dict[str, Any]:
         """Both gains by their names, in their order."""
         names = [gain.name for gain in self.gains]
@@ -458,9 +309,15 @@ class TwoGains(ABC):
             return codes
         return namespace(codes, is_lost).where(is_lost, np.int8(Verdict.UNDECIDED), codes)
 
-    def _frequency_margins(self, first: Numbers, second: Numbers) -> FrequencyMargins:
-        return wall_frequency_margins(self, first, second)
-
     def _verdicts(self, grid: Float64[np.ndarray, "*grid 2"]) -> Any:
         codes = [self._verdict(*own) for own in grid.reshape(-1, 2).tolist()]
         return np.array(codes, np.int8).reshape(grid.shape[:-1])
+
+
+def by_gain(answer: Any, name: str, values: Mapping[str, Any]) -> Any:
+    """A value of an answer by a name that its gains give it; AttributeError for another name."""
+    if name not in values:
+        raise AttributeError(
+            f"{type(answer).__name__} has no {name!r}; its gains give {', '.join(values)}."
+        )
+    return values[name]

@@ -11,7 +11,7 @@ from jaxstab import motion, point
 from jaxstab.arrays import Array, Numbers, is_any_jax, is_any_traced, named, pytree
 from jaxstab.conventions import HORIZON, Excitation, Range, Verdict
 from jaxstab.exact import StableLine, wall_verdict
-from jaxstab.loop.gains import TwoGains
+from jaxstab.loop.answers import Answers
 from jaxstab.loop.margins import (
     FrequencyMargins,
     Margins,
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 @pytree
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)  # a mistake names this class
-class HapticLoop(LoopParameters, TwoGains):
+class HapticLoop(LoopParameters, Answers):
     """A haptic device held by a hand, and the sampled loop that renders a virtual wall on it.
 
     At every sample the wall's force is -(K P(z) + B V(z)) x: K times the position, filtered if

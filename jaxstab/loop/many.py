@@ -208,7 +208,7 @@ def _answered(loops: Any, fields: dict[str, Any], *, outlines: bool) -> ManyRegi
     """The limits of many loops and, with ``outlines``, their outlines and areas."""
     many, fields, shape = _given(loops, fields)
     if is_any_traced(many, fields):
-        from jaxstab.loop.moving import moved_columns, moved_together
+        from jaxstab.loop.implicit import moved_columns, moved_together
 
         are_columns = prod(shape) > 1 and fields.keys() <= {*MECHANICS}
         if are_columns and isinstance(many, LoopParameters) and many.device is None:

@@ -16,7 +16,7 @@ from dataclasses import replace
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from functools import partial
 from math import degrees, inf, isfinite, isnan, log10, nan, nextafter, pi, ulp
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, Int8
@@ -34,7 +34,7 @@ from jaxstab.exact import (
     stable_line,
     wall_verdict,
 )
-from jaxstab.loop.region import by_gain
+from jaxstab.loop.gains import TwoGains, by_gain
 from jaxstab.model import checked_delta, checked_gain, checked_gamma
 from jaxstab.model.balls import ball_loop, ball_triple
 from jaxstab.model.device.device import in_steps
@@ -47,9 +47,6 @@ from jaxstab.numbers import checked, require_together, without_noise
 from jaxstab.rounding import UNIT
 from jaxstab.shown import number_text, rounded_text, table_text
 
-if TYPE_CHECKING:
-    from jaxstab.loop.gains import TwoGains
-
 WAYS = ((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0), (4, 1.0))
 """The axes (alpha, beta, delay) along which a wall is changed, and the signs."""
 
@@ -57,7 +54,7 @@ _NOT_KNOWN = nan, nan  # an end, and the angle / pi of the root that is on the c
 
 
 def loop_margins(
-    loop: "TwoGains", codes: Int8[np.ndarray, "*grid"], pairs: Float64[np.ndarray, "*grid 2"]
+    loop: TwoGains, codes: Int8[np.ndarray, "*grid"], pairs: Float64[np.ndarray, "*grid 2"]
 ) -> "Margins":
     """The margins of pairs of gains of one loop with these verdicts."""
     ends, delays, held = np.full((codes.size, 3, 2), nan), np.full(codes.size, nan), loop._held
@@ -330,7 +327,7 @@ def margins(
     code, *found = asked_of_lanes(ask, loop_of, arrays, count, is_count=True)
     ends = xp.stack(found[::2], axis=-1)
     if is_jax(point):
-        from jaxstab.loop.moving import moving_ends
+        from jaxstab.loop.implicit import moving_ends
 
         ends = moving_ends(point, ends, xp.stack(found[1::2], axis=-1), filters)
     alone = ends[..., :4].reshape(*ends.shape[:-1], 2, 2)
@@ -482,7 +479,7 @@ def _words(name: str, rounding: str, own: AtFrequency) -> list[str]:
 
 
 def wall_frequency_margins(
-    loop: "TwoGains", first: Numbers, second: Numbers, *, in_full: bool = True
+    loop: TwoGains, first: Numbers, second: Numbers, *, in_full: bool = True
 ) -> FrequencyMargins:
     """The margins of pairs of gains of a loop; not ``in_full`` phase and sensitivity alone."""
     names = [gain.name for gain in loop.gains]

@@ -11,12 +11,12 @@ the text of a pair that is proved stable (``printed_limit``), and all that show 
 """
 
 from collections import namedtuple
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from functools import cached_property, lru_cache, partial
 from math import isfinite, isinf, nan
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Self, TypeVar
+from typing import Any, Generic, NamedTuple, Self, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -24,6 +24,7 @@ from jaxtyping import Bool, Float64
 from jaxstab.arrays import Array, Numbers, are_numbers, float_arrays, is_jax, namespace
 from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.exact.line import StableLine
+from jaxstab.loop.gains import TwoGains, by_gain
 from jaxstab.model import checked_gain, require_x64
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.model.gain import WALL, Gain
@@ -40,9 +41,6 @@ from jaxstab.shown import (
     text_with_bound,
 )
 from jaxstab.tuning import TuningStatus
-
-if TYPE_CHECKING:
-    from jaxstab.loop.gains import TwoGains
 
 TOLERANCE = 1e-6  # of the outline, by default
 Number = TypeVar("Number", float, Array)
@@ -218,15 +216,6 @@ class Tuned(NamedTuple):
         return "\n  ".join(lines)
 
 
-def by_gain(answer: Any, name: str, values: Mapping[str, Any]) -> Any:
-    """A value of an answer by a name that its gains give it; AttributeError for another name."""
-    if name not in values:
-        raise AttributeError(
-            f"{type(answer).__name__} has no {name!r}; its gains give {', '.join(values)}."
-        )
-    return values[name]
-
-
 @dataclass(frozen=True, repr=False)
 class Region(ShownRegion):
     """The stable gains of a loop: its exact stable region, in coordinates in which it is bounded.
@@ -287,7 +276,7 @@ class Region(ShownRegion):
         [[[0.0, 50000.0]]]
     """
 
-    loop: "TwoGains"
+    loop: TwoGains
     region: StableRegion
 
     @property
@@ -560,7 +549,7 @@ class Region(ShownRegion):
 
 
 @lru_cache(maxsize=64)
-def region_of_loop(loop: "TwoGains", tolerance: float) -> Region:
+def region_of_loop(loop: TwoGains, tolerance: float) -> Region:
     """The stable gains of a loop; the most recent ones are remembered."""
     return Region(loop, region_of(ScaledLoop(loop._source, loop._scale), tolerance))
 
@@ -571,7 +560,7 @@ ABOVE_0 = "above 0"  # a least value that is not stable itself
 Pair = tuple[float, float]
 
 
-def _printed(loop: "TwoGains", points: Any) -> tuple[Pair, Pair]:
+def _printed(loop: TwoGains, points: Any) -> tuple[Pair, Pair]:
     """The points of the limits of two gains, as pairs that are stable."""
     (one, at_two), (at_one, two) = np.array(points).tolist()
     first = printed_limit(loop, 0, one, at_two) or (one, at_two)
@@ -580,7 +569,7 @@ def _printed(loop: "TwoGains", points: Any) -> tuple[Pair, Pair]:
 
 
 def printed_limit(
-    loop: "TwoGains",
+    loop: TwoGains,
     axis: int,
     value: float,
     at: float,
@@ -632,7 +621,7 @@ def printed_limit(
     return None
 
 
-def other_gain(loop: "TwoGains", axis: int, value: float, at: float) -> float:
+def other_gain(loop: TwoGains, axis: int, value: float, at: float) -> float:
     """The other gain at a value of one: a given one, or one inside of the nearest stable ones."""
     line = loop.intervals(**{loop.gains[axis].name: value})
     if not line.intervals or line.holding(at):

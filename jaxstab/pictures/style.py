@@ -33,6 +33,7 @@ from jaxstab.loop import (
     HapticLoop,
     Region,
 )
+from jaxstab.loop.answers import Answers
 from jaxstab.loop.gains import TwoGains
 from jaxstab.loop.jitter import MovingLoop
 from jaxstab.model.filters import given_filters
@@ -317,7 +318,7 @@ def _draw_map(panel: Axes, main: AnyRegion, islands: Sequence[AnyRegion]) -> Non
     panel.set(xlim=(left, right), ylim=(bottom, top))
 
 
-def plot_loop(loop: TwoGains, ax: Axes | None = None) -> Axes:
+def plot_loop(loop: Answers, ax: Axes | None = None) -> Axes:
     """Draw the stable gains of a loop, the stiffest wall, and its linear rule: ``loop.plot``."""
     legend_room = 0.25  # of the height of a loop's picture, above it
     region = loop.region()

@@ -17,7 +17,7 @@ from jaxstab import paper
 from jaxstab.conventions import Verdict
 from jaxstab.exact import LineStatus, StableLine
 from jaxstab.loop import Gains, HapticLoop, Limits
-from jaxstab.loop.gains import TwoGains
+from jaxstab.loop.answers import Answers
 from jaxstab.loop.region import ABOVE_0, other_gain, printed_limit
 from jaxstab.model import Velocity
 from jaxstab.model.gain import Gain
@@ -42,9 +42,9 @@ _SEE_BELOW = " (all hands: see below)"
 class StableGains:
     """The stable gains of a loop, and of others beside it, times a factor of safety."""
 
-    loop: TwoGains
+    loop: Answers
     safety: float = 1.0
-    besides: tuple[TwoGains, ...] = ()  # loops for which rows are to be stable, too
+    besides: tuple[Answers, ...] = ()  # loops for which rows are to be stable, too
     units: Units = Units.LINE
     are_walls: bool = False  # with intervals below 0, beside the linear rule
 
