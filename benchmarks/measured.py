@@ -7,7 +7,7 @@ curve, or to all, by least squares of the limits over the curve's peak; the othe
 
 - **Linear**: ``HapticLoop.stiffness_limits``, whose unknowns are inertia, damping and delay. The
   ratio would scale the first two alone, so no limit tells it.
-- **Simulated**: one-sided walls under friction and saturation (``HapticLoop.contact``), with the
+- **Simulated**: one-sided walls under friction and saturation (``jaxstab.contact``), with the
   ratio (it scales the motor's friction) and the torque limit as further unknowns. A wall is quiet
   if the angle moves by less than ``_FELT`` at the end; the limit is the first K that is not.
 
@@ -31,6 +31,7 @@ from scipy.linalg import solve_discrete_are
 from scipy.optimize import least_squares
 from scipy.signal import savgol_coeffs
 
+import jaxstab
 from benchmarks import measured_page, record
 from benchmarks.measured_page import ESTIMATORS
 from benchmarks.record import Row
@@ -89,7 +90,7 @@ class Paddle(NamedTuple):
             found = self.loop(estimator).stiffness_limits(damping * DEGREES)[:, 1] / DEGREES
             return np.maximum(np.nan_to_num(np.asarray(found)), 0.0)
         friction = self.ratio * _DYNAMIC
-        contact = self.loop(estimator).contact(
+        contact = jaxstab.contact(self.loop(estimator),
             _GRID[:, None] * DEGREES, damping * DEGREES,
             friction=friction, static_friction=self.ratio * _STATIC, max_force=self.torque,
             push=max(_PUSH, 2.0 * friction), speed=_SPEED, pulls=True, duration=_SECONDS,

@@ -30,6 +30,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+import jaxstab
 from benchmarks import record
 from benchmarks.table import of_cells, put_between
 from jaxstab import HapticLoop, Velocity, Verdict
@@ -124,7 +125,7 @@ def amplitudes(device: Device, rng: np.random.Generator, starts: int) -> tuple[i
     phase = rng.uniform(size=shape)
     above, share = 0, 0.0
     for _ in range(_ROUNDS):
-        runs = device.loop.contact(
+        runs = jaxstab.contact(device.loop,
             *wall, **causes, push=push, speed=speed, phase=phase,
             one_sided=False, duration=_DURATION, path=False,
         )  # fmt: skip
@@ -145,7 +146,7 @@ def ends(device: Device, rng: np.random.Generator, starts: int) -> Iterator[str]
     friction = np.where(rng.random(shape) < 0.2, 0.0, 10.0 ** rng.uniform(-2.5, 0.0, shape))
     push, speed = 10.0 ** rng.uniform(-1.0, 0.7, shape), rng.uniform(0.0, 0.3, shape)
     wall = device.stiffness[:, None], device.damping[:, None]
-    contact = device.loop.contact(
+    contact = jaxstab.contact(device.loop,
         *wall, friction=friction, encoder=device.encoder,
         phase=rng.uniform(size=shape), push=push, speed=speed, duration=_DURATION, path=False,
     )  # fmt: skip
@@ -175,7 +176,8 @@ def by_ratio(devices: int, runs: int) -> Iterator[str]:
         damping, encoder = mass / _T * 10.0 ** rng.uniform(-3.0, -1.0), 1e-5
         stiffness = hold * 2.0 * damping / _T
         count = 10.0 ** rng.uniform(-1.0, 1.0, runs)
-        contact = HapticLoop(device_mass=mass, device_damping=damping, sample_time=_T).contact(
+        contact = jaxstab.contact(
+            HapticLoop(device_mass=mass, device_damping=damping, sample_time=_T),
             stiffness, 0.0,
             friction=stiffness * encoder / (2.0 * count), encoder=encoder,
             phase=rng.uniform(size=runs), duration=_LONG,
@@ -239,7 +241,8 @@ def draw() -> None:
     )  # fmt: skip
     walls = walls_around(loop, _GRID)
     maps = {
-        f"friction {friction:g} N, push 1 N": loop.contact(
+        f"friction {friction:g} N, push 1 N": jaxstab.contact(
+            loop,
             *walls,
             friction=friction,
             push=1.0,

@@ -72,7 +72,7 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "HapticLoop.amplitude": ["loop", 1000.0, 10.0, {"encoder": 1e-5, "force_step": 0.01}],
     "HapticLoop.oscillation": ["loop", 1000.0, 10.0],
     "HapticLoop.simulate": ["loop", 1000.0, 10.0, {"force": 1.0}],
-    "HapticLoop.contact": ["loop", 1000.0, 10.0, {"push": 1.0, "friction": 0.1, "duration": 1}],
+    "contact": ["loop", 1000.0, 10.0, {"push": 1.0, "friction": 0.1, "duration": 1}],
     "HapticLoop.region": ["loop"],
     "HapticLoop.limits": ["loop"],
     "HapticLoop.boundary": ["loop"],

@@ -126,8 +126,8 @@ def assert_runs_are_true(
     for _ in range(runs):
         loop, options, felt = random_case(rng, random)
         start = options["position"], options["speed"]
-        contact = loop.contact(**options, duration=samples * PERIOD)
-        longer = loop.contact(**options, duration=(samples + 1) * PERIOD)
+        contact = jaxstab.contact(loop, **options, duration=samples * PERIOD)
+        longer = jaxstab.contact(loop, **options, duration=(samples + 1) * PERIOD)
         true = truth.run(felt, start, samples)
         assert contact.path is not None
         assert longer.path is not None
@@ -187,7 +187,7 @@ def test_200_random_devices_move_as_in_scipy_with_events(rng: np.random.Generato
 
 def test_no_walls_have_no_contacts_and_no_responses() -> None:
     loop = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-    contact = loop.contact([], 10.0, push=1.0, duration=0.1)
+    contact = jaxstab.contact(loop, [], 10.0, push=1.0, duration=0.1)
     assert contact.kind.shape == (0,)
     assert contact.path.position.shape == (0, 100)
     assert loop.simulate([], 10.0, force=1.0, samples=50).position.shape == (0, 50)
@@ -195,7 +195,9 @@ def test_no_walls_have_no_contacts_and_no_responses() -> None:
 
 def test_a_free_mass_slides_until_friction_stops_it() -> None:
     speed, friction = 0.3, 0.7
-    contact = FREE.contact(1.0, 0.0, position=-1.0, speed=speed, friction=friction, duration=0.4)
+    contact = jaxstab.contact(
+        FREE, 1.0, 0.0, position=-1.0, speed=speed, friction=friction, duration=0.4
+    )
     assert contact.path is not None
     deceleration = friction / FREE.mass
     stop = speed / deceleration
@@ -211,7 +213,7 @@ def test_a_free_mass_slides_until_friction_stops_it() -> None:
 
 def test_the_first_touch_is_that_of_the_formula() -> None:
     stiffness, damping, speed = 800.0, 5.0, 0.2
-    contact = FREE.contact(stiffness, damping, speed=speed, duration=0.016)
+    contact = jaxstab.contact(FREE, stiffness, damping, speed=speed, duration=0.016)
     assert contact.path is not None
     first = speed * PERIOD  # at time 0 the mass is at the surface, and feels nothing
     force = -(stiffness * first + damping * speed)
@@ -222,9 +224,9 @@ def test_the_first_touch_is_that_of_the_formula() -> None:
 
 def test_a_push_up_to_the_static_friction_moves_nothing() -> None:
     friction = {"friction": 0.2, "static_friction": 0.5}
-    still = WINDOW.contact(1000.0, 3.0, push=0.5, **friction)
+    still = jaxstab.contact(WINDOW, 1000.0, 3.0, push=0.5, **friction)
     assert (still.kind, still.time_to_rest, still.penetration) == (ContactKind.RESTS, 0.0, 0.0)
-    moved = FREE.contact(1.0, 0.0, push=0.51, position=-1.0, **friction, duration=0.1)
+    moved = jaxstab.contact(FREE, 1.0, 0.0, push=0.51, position=-1.0, **friction, duration=0.1)
     assert moved.path is not None
     true = -1.0 + 0.5 * (0.51 - 0.2) / FREE.mass * moved.path.time**2
     assert np.allclose(moved.path.position, true, rtol=1e-13)
@@ -235,7 +237,7 @@ def test_a_handle_breaks_loose_when_the_actuator_has_got_up_enough_force() -> No
     mass, bandwidth, force, static, friction = 0.5, 300.0, 4.0, 2.0, 1.0
     device = jaxstab.Device.mass_spring_damper(mass).with_actuator(bandwidth)
     loop = HapticLoop(device=device, sample_time=PERIOD)
-    contact = loop.contact(
+    contact = jaxstab.contact(loop,
         4000.0, 0.0, position=1e-3, friction=friction, static_friction=static, one_sided=False,
         duration=0.016,
     )  # fmt: skip
@@ -267,8 +269,15 @@ def relay_cycle(delay: float, force: float, friction: float, mass: float) -> tup
 def test_a_relay_with_delay_and_friction_has_the_limit_cycle_of_the_formula() -> None:
     samples, force, friction = 200, 2.0, 0.8
     loop = HapticLoop(device_mass=0.5, device_damping=0.0, sample_time=1e-4, delay=samples * 1e-4)
-    contact = loop.contact(
-        1e9, 0.0, max_force=force, friction=friction, one_sided=False, position=1e-3, duration=3.0
+    contact = jaxstab.contact(
+        loop,
+        1e9,
+        0.0,
+        max_force=force,
+        friction=friction,
+        one_sided=False,
+        position=1e-3,
+        duration=3.0,
     )
     # The relay looks once per sample: the delay is between 200 and 201 samples.
     low, high = (
@@ -291,7 +300,7 @@ def test_without_friction_and_encoder_a_contact_is_simulate(
     linear = loop.simulate(
         *wall, **start, force=felt.push, samples=50, unilateral=one_sided, delays=options["delays"]
     )
-    contact = loop.contact(
+    contact = jaxstab.contact(loop,
         *wall, position=options["position"], speed=options["speed"], push=felt.push,
         one_sided=one_sided, pulls=True, duration=50 * PERIOD, delays=options["delays"],
     )  # fmt: skip
@@ -345,11 +354,11 @@ def test_numbers_numpy_and_jax_agree(
     loop, count = LOOPS[name], 5 if name == "device" else 20
     options = many_conditions(rng, count)
     fixed = {"duration": 0.04, "delays": delays}
-    by_numpy = loop.contact(**options, **fixed, path=False)
+    by_numpy = jaxstab.contact(loop, **options, **fixed, path=False)
     monkeypatch.setattr(kernel, "_MANY", 0)
-    by_jax = loop.contact(**options, **fixed, path=False)
+    by_jax = jaxstab.contact(loop, **options, **fixed, path=False)
     single = [
-        loop.contact(**{key: value[k] for key, value in options.items()}, **fixed)
+        jaxstab.contact(loop, **{key: value[k] for key, value in options.items()}, **fixed)
         for k in range(count)
     ]
     for name_of in ("amplitude", "penetration", "largest_force", "energy"):
@@ -383,9 +392,9 @@ def test_maps_larger_than_a_tile_keep_their_order(monkeypatch: pytest.MonkeyPatc
     friction = np.linspace(0.0, 0.4, 101)
     given = {"friction": friction, "push": 1.0, "duration": 0.03}
     monkeypatch.setattr(kernel, "_MANY", inf)
-    by_numpy = WINDOW.contact(stiffness, 10.0, **given, path=False)
+    by_numpy = jaxstab.contact(WINDOW, stiffness, 10.0, **given, path=False)
     monkeypatch.setattr(kernel, "_MANY", 0)
-    by_jax = WINDOW.contact(stiffness, 10.0, **given, path=False)
+    by_jax = jaxstab.contact(WINDOW, stiffness, 10.0, **given, path=False)
     assert by_jax.penetration.shape == (23, 101)
     assert np.allclose(by_jax.penetration, by_numpy.penetration, rtol=1e-12)
     assert np.allclose(by_jax.energy, by_numpy.energy, rtol=1e-9, atol=1e-18)
@@ -394,7 +403,7 @@ def test_maps_larger_than_a_tile_keep_their_order(monkeypatch: pytest.MonkeyPatc
 def test_friction_holds_walls_that_are_unstable() -> None:
     walls = [(5000.0, 30.0)] * 3 + [(3000.0, 15.0)] * 2
     friction = [0.3, 0.1, 0.0, 0.1, 0.0]
-    contact = WINDOW.contact(*np.transpose(walls), friction=friction, push=1.0, path=False)
+    contact = jaxstab.contact(WINDOW, *np.transpose(walls), friction=friction, push=1.0, path=False)
     assert (contact.kind == ContactKind.RESTS).tolist() == [True, False, False, True, False]
     does_move = np.isin(contact.kind, [ContactKind.BOUNCES, ContactKind.GROWS])
     assert does_move.tolist() == [False, True, True, False, True]
@@ -404,16 +413,16 @@ def test_friction_holds_walls_that_are_unstable() -> None:
 
 def test_every_kind_of_end_has_its_name() -> None:
     held = HapticLoop(**HELD, hand_stiffness=200.0)
-    two_sided = held.contact(40000.0, 0.0, speed=0.1, one_sided=False, duration=8.0)
+    two_sided = jaxstab.contact(held, 40000.0, 0.0, speed=0.1, one_sided=False, duration=8.0)
     assert two_sided.kind == ContactKind.GROWS
     assert two_sided.amplitude == two_sided.penetration == two_sided.largest_force == inf
     assert two_sided.time_to_rest == inf
     assert np.isnan(two_sided.energy)
-    assert WINDOW.contact(1000.0, 3.0, speed=0.1).kind == ContactKind.OUTSIDE
+    assert jaxstab.contact(WINDOW, 1000.0, 3.0, speed=0.1).kind == ContactKind.OUTSIDE
     free = HapticLoop(device_mass=0.25, device_damping=0.02, sample_time=PERIOD)
-    decaying = free.contact(1000.0, 1.0, speed=0.1, push=0.5, one_sided=False)
+    decaying = jaxstab.contact(free, 1000.0, 1.0, speed=0.1, push=0.5, one_sided=False)
     assert decaying.kind == ContactKind.DECAYS
-    still = free.contact(10.0, 0.005, speed=0.1, one_sided=False, duration=8.0)
+    still = jaxstab.contact(free, 10.0, 0.005, speed=0.1, one_sided=False, duration=8.0)
     assert still.kind == ContactKind.OSCILLATES
     assert still.frequency == pytest.approx(np.sqrt(10.0 / 0.25) / (2.0 * pi), rel=1e-2)
 
@@ -458,7 +467,7 @@ def test_a_kind_says_what_an_own_recursion_saw(count: int, rng: np.random.Genera
         places, forces = own_run(
             BARE, wall, start, samples, push=push, most=most, one_sided=one_sided
         )
-        contact = BARE.contact(
+        contact = jaxstab.contact(BARE,
             *wall, position=start[0], speed=start[1], push=push, one_sided=one_sided,
             max_force=None if most == inf else most, duration=samples * PERIOD,
         )  # fmt: skip
@@ -486,7 +495,7 @@ def test_what_returns_later_is_outside_and_not_said_to_stay_there() -> None:
     places, _ = own_run(BARE, wall, start, 4000, push=0.05, most=inf)
     enters = np.flatnonzero((places[1:] > 0.0) & (places[:-1] <= 0.0))
     assert [place * PERIOD / 4 for place in enters] == [pytest.approx(2.949, abs=1e-3)]
-    contact = BARE.contact(*wall, push=0.05, speed=start[1])
+    contact = jaxstab.contact(BARE, *wall, push=0.05, speed=start[1])
     assert contact.kind == ContactKind.OUTSIDE
     assert ContactKind.OUTSIDE.words == "outside of the wall at the end"
 
@@ -512,7 +521,7 @@ def test_a_stable_wall_that_acts_where_x_is_positive_may_bounce_higher_for_ever(
     assert np.all(np.diff(largest[False]) < 0.0)
     assert largest[False][-1] < 1e-12
     assert np.all(largest[True][1:] > 1.1 * largest[True][:-1])
-    contact = loop.contact(*wall, position=start[0], speed=start[1], duration=20.0)
+    contact = jaxstab.contact(loop, *wall, position=start[0], speed=start[1], duration=20.0)
     assert contact.kind == ContactKind.GROWS
 
 
@@ -524,10 +533,10 @@ def test_a_push_of_the_largest_force_or_more_goes_through_the_wall(push: float) 
     places, forces = own_run(loop, wall, (0.0, 0.1), 4000, push=push, most=1.0)
     assert np.all(forces[-1000:] == -1.0)
     assert places[-1] - places[-4001] == pytest.approx(push - 1.0, abs=1e-5)  # m in 1 s
-    contact = loop.contact(*wall, push=push, speed=0.1, **limited)
+    contact = jaxstab.contact(loop, *wall, push=push, speed=0.1, **limited)
     assert contact.kind == ContactKind.PUSHED_THROUGH
     assert contact.penetration == pytest.approx(places.max(), rel=1e-9)
-    assert loop.contact(*wall, push=0.9, speed=0.1, **limited).kind == ContactKind.RESTS
+    assert jaxstab.contact(loop, *wall, push=0.9, speed=0.1, **limited).kind == ContactKind.RESTS
 
 
 def test_what_bounced_away_and_stopped_has_left_the_wall() -> None:
@@ -536,7 +545,7 @@ def test_what_bounced_away_and_stopped_has_left_the_wall() -> None:
     places, _ = own_run(loop, (3000.0, 2.0), (0.0, 0.3), 4000, push=0.0, most=inf)
     assert places[-1] < -1e-3
     assert np.ptp(places[-4000:]) < 1e-6
-    contact = loop.contact(3000.0, 2.0, speed=0.3)
+    contact = jaxstab.contact(loop, 3000.0, 2.0, speed=0.3)
     assert contact.kind == ContactKind.OUTSIDE
     assert contact.time_to_rest < 3.0
 
@@ -545,7 +554,7 @@ def test_no_run_of_a_stable_wall_passes_the_proved_amplitude(rng: np.random.Gene
     count, wall = 300, (1000.0, 10.0)
     causes = {"encoder": 2e-5, "friction": 1e-3, "force_step": 0.02}
     proved = WINDOW.amplitude(*wall, **causes)
-    contact = WINDOW.contact(
+    contact = jaxstab.contact(WINDOW,
         *wall, **causes, one_sided=False, push=rng.uniform(0.0, 2.0, count),
         speed=rng.uniform(0.0, 0.1, count), phase=rng.uniform(size=count), path=False,
     )  # fmt: skip
@@ -571,7 +580,8 @@ def test_walls_below_the_rule_of_abbott_and_okamura_come_to_rest() -> None:
     friction = np.array([0.01, 0.02, 0.05, 0.1])[:, None]
     largest = np.minimum(2.0 * damping / PERIOD, 2.0 * friction / encoder)
     push = np.linspace(0.2, 3.0, 7)
-    below = loop.contact(
+    below = jaxstab.contact(
+        loop,
         0.9 * largest,
         0.0,
         friction=friction,
@@ -600,7 +610,7 @@ def test_walls_below_the_rule_of_abbott_and_okamura_come_to_rest() -> None:
 def test_bad_input_is_refused_in_one_sentence(options: dict[str, Any], sentence: str) -> None:
     given = {"stiffness": 1000.0, "damping": 3.0, "push": 1.0, **options}
     with pytest.raises(ValueError, match=sentence):
-        WINDOW.contact(**given)
+        jaxstab.contact(WINDOW, **given)
 
 
 def test_a_device_that_is_one_mass_in_disguise_moves_as_that_mass(
@@ -612,8 +622,8 @@ def test_a_device_that_is_one_mass_in_disguise_moves_as_that_mass(
     device = jaxstab.Device.transfer_function([1.0], [0.25, 0.1, 200.0])
     assert device.one_mass() is None
     mass = HapticLoop(device_mass=0.25, device_damping=0.1, hand_stiffness=200.0, **fields)
-    ours = HapticLoop(device=device, **fields).contact(**options, path=False)
-    theirs = mass.contact(**options, path=False)
+    ours = jaxstab.contact(HapticLoop(device=device, **fields), **options, path=False)
+    theirs = jaxstab.contact(mass, **options, path=False)
     for name in ("amplitude", "penetration", "largest_force", "energy"):
         one, other = getattr(ours, name), getattr(theirs, name)
         assert np.allclose(one, other, rtol=1e-11, atol=1e-11 * np.abs(other).max())
@@ -644,14 +654,14 @@ def test_devices_that_are_too_fast_or_have_no_mass_are_refused(
     loop: HapticLoop, sentence: str
 ) -> None:
     with pytest.raises(ValueError, match=sentence):
-        loop.contact(1000.0, 3.0, push=1.0)
+        jaxstab.contact(loop, 1000.0, 3.0, push=1.0)
 
 
 def test_a_run_can_be_drawn_and_a_map_cannot() -> None:
-    axes = WINDOW.contact(1000.0, 3.0, push=1.0, friction=0.1).plot()
+    axes = jaxstab.contact(WINDOW, 1000.0, 3.0, push=1.0, friction=0.1).plot()
     assert axes.get_title() == "simulated: rests"
     with pytest.raises(ValueError, match="no single path"):
-        WINDOW.contact([1000.0, 2000.0], 3.0, push=1.0).plot()
+        jaxstab.contact(WINDOW, [1000.0, 2000.0], 3.0, push=1.0).plot()
 
 
 SCENE = """
@@ -691,8 +701,12 @@ def test_a_mass_behind_a_stiff_grip_arrives_with_the_device() -> None:
     whole = jaxstab.Device.mass_spring_damper(1.05, damping=0.1)
     unknown = jaxstab.Device.transfer_function([1.0], [0.05, 0.1, 0.0])
     one, both, struck = (
-        HapticLoop(device=device, sample_time=PERIOD, delay=PERIOD).contact(
-            500.0, 5.0, speed=0.1, duration=0.1
+        jaxstab.contact(
+            HapticLoop(device=device, sample_time=PERIOD, delay=PERIOD),
+            500.0,
+            5.0,
+            speed=0.1,
+            duration=0.1,
         )
         for device in (whole, light.held_by(hand), unknown.held_by(hand))
     )
@@ -709,7 +723,7 @@ def test_a_scene_answers_with_the_worst_of_its_starts() -> None:
     assert not contacts.all_stable
     causes: dict[str, Any] = {"friction": 0.1, "encoder": 1e-5}
     runs = [
-        WINDOW.contact(1000.0, 10.0, **causes, push=push, speed=speed, phase=phase)
+        jaxstab.contact(WINDOW, 1000.0, 10.0, **causes, push=push, speed=speed, phase=phase)
         for push, speed in [(1.0, 0.0), (0.0, 0.1), (1.0, 0.1)]
         for phase in (0.0, 0.25, 0.5, 0.75)
     ]
@@ -742,7 +756,7 @@ def test_ranges_are_simulated_at_their_lowest_hand_and_longest_delay() -> None:
     assert soft.contact_is.endswith(words)
     assert f"; {words})\n" in check_walls(scene).in_short()
     loop = HapticLoop(**HELD, hand_mass=0.1, delay=2e-3, velocity=Velocity.difference(window=0.02))
-    runs = loop.contact(
+    runs = jaxstab.contact(loop,
         1000.0, 10.0, push=[1.0, 0.0, 1.0], speed=[0.0, 0.1, 0.1], friction=0.1,
         phase=np.array([0.0, 0.25, 0.5, 0.75])[:, None], encoder=1e-5, max_force=12.0, path=False,
     )  # fmt: skip
@@ -775,7 +789,7 @@ def test_scenes_with_modes_actuators_and_grips_are_simulated() -> None:
     loop = HapticLoop(
         device=GENERAL, sample_time=PERIOD, delay=PERIOD, velocity=Velocity.difference(window=0.02)
     )
-    runs = loop.contact(
+    runs = jaxstab.contact(loop,
         1000.0, 10.0, push=[1.0, 0.0, 1.0], speed=[0.0, 0.1, 0.1], friction=0.1,
         phase=np.array([0.0, 0.25, 0.5, 0.75])[:, None], encoder=1e-5, duration=0.2, path=False,
     )  # fmt: skip
@@ -813,8 +827,8 @@ def test_a_start_that_is_given_in_part_keeps_the_rest_of_the_default_one() -> No
 def test_the_approach_finds_what_a_push_from_rest_does_not() -> None:
     """Pushed from rest the device comes to rest; when it arrives at 0.1 m/s it bounces on."""
     causes, scene = {"friction": 0.1, "push": 1.0}, throwing(friction=0.1)
-    assert BARE.contact(3000.0, 2.0, **causes).kind == ContactKind.RESTS
-    assert BARE.contact(3000.0, 2.0, **causes, speed=0.1).kind == ContactKind.BOUNCES
+    assert jaxstab.contact(BARE, 3000.0, 2.0, **causes).kind == ContactKind.RESTS
+    assert jaxstab.contact(BARE, 3000.0, 2.0, **causes, speed=0.1).kind == ContactKind.BOUNCES
     hard = simulate_contacts(scene).walls["hard"]
     assert (hard.contact, hard.worst_start) == (ContactKind.BOUNCES, "at 0.1 m/s, pushed with 1 N")
 

@@ -43,7 +43,7 @@ def test_a_table_holds_the_contacts_of_arrays_in_any_blocks(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     K, B, friction = np.ix_(*WALLS, GIVEN["friction"])
-    plain = LOOP.contact(K, B, **{**GIVEN, "friction": friction}, path=False)
+    plain = jaxstab.contact(LOOP, K, B, **{**GIVEN, "friction": friction}, path=False)
     whole = table()
     for name in plain._fields[:-1]:
         np.testing.assert_array_equal(whole[name], getattr(plain, name))

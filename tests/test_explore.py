@@ -342,7 +342,8 @@ def random_contacts(rng: np.random.Generator, count: int) -> list[Any]:
 def contact_of(loop: Any, setup: Any, push: float) -> jaxstab.results.Contact:
     """The same contact from Python, with another push."""
     given, wall = setup["conditions"], setup["wall"]
-    return loop.contact(
+    return jaxstab.contact(
+        loop,
         wall["stiffness"],
         wall["damping"],
         push=push,
@@ -896,7 +897,7 @@ HEADLINE = "return document.getElementById('headline').textContent;"
 def test_a_contact_is_simulated_where_the_switch_is_on(omega: Browser) -> None:
     """The words are those of Python for the same wall, and never call it proved."""
     loop = scene_loop(Scene.from_file(SCENES[0].parent / "omega.toml"))
-    contact = loop.contact(1000.0, 8.0, friction=0.3, push=1.0)
+    contact = jaxstab.contact(loop, 1000.0, 8.0, friction=0.3, push=1.0)
     still = "friction: 0.3, push: 1, speed: 0"
     omega.run(f"update({{ cursorStiffness: 1000, cursorDamping: 8, {still} }});")
     off, on = omega.run(SWITCH)

@@ -263,8 +263,8 @@ def test_methods_about_walls_broadcast_with_fields_that_are_arrays(
         lambda loop: loop.verdict(*CHAI3D, delays=(0.0, 1e-3)),
         lambda loop: loop.worst_delays(*CHAI3D, delays=(0.0, 1e-3)),
         lambda loop: loop.simulate(*CHAI3D, force=1.0),
-        lambda loop: loop.contact(*CHAI3D, push=1.0, friction=0.1),
-        lambda loop: loop.contact([1e3], [10.0], push=1.0, friction=0.1, path=False),
+        lambda loop: jaxstab.contact(loop, *CHAI3D, push=1.0, friction=0.1),
+        lambda loop: jaxstab.contact(loop, [1e3], [10.0], push=1.0, friction=0.1, path=False),
         lambda loop: loop.stiffness_intervals(10.0),
         lambda loop: jaxstab.limits_of([loop]),
         lambda loop: jaxstab.study(loop, walls={"a": CHAI3D}, over={"device_mass": [0.1]}),
@@ -297,7 +297,7 @@ TOGETHER: dict[str, Callable[[], Any]] = {
     "amplitude": lambda: OMEGA.amplitude(**GIVEN, encoder=1e-5),
     "margins": lambda: OMEGA.margins(**GIVEN),
     "frequency": lambda: OMEGA.frequency_margins(**GIVEN),
-    "contact": lambda: OMEGA.contact(**GIVEN, push=1.0, path=False),
+    "contact": lambda: jaxstab.contact(OMEGA, **GIVEN, push=1.0, path=False),
     "distance": lambda: OMEGA.region().distance(**GIVEN),
 }
 

@@ -13,6 +13,7 @@ import scipy.linalg
 from march import Plant, difference_taps, low_pass_taps, march_of_plant
 from mpmath import mp
 
+import jaxstab
 from jaxstab import (
     Device,
     Hand,
@@ -412,10 +413,10 @@ def test_a_handle_with_a_negative_mass_is_refused() -> None:
 
 def test_contacts_need_an_encoder_that_shows_the_handle() -> None:
     loop = loop_of(held(TWO_BODIES, (0.0, 0.005, 0.0)), 1.0)
-    assert loop.contact(2.0, 0.01, push=0.01).kind is not None
+    assert jaxstab.contact(loop, 2.0, 0.01, push=0.01).kind is not None
     apart = Device.modes([replace(TWO_BODIES.mechanism.modes[0], handle=1.0)], mass=8e-4)  # type: ignore[union-attr]
     with pytest.raises(ValueError, match="does not show the handle"):
-        loop_of(apart, 1.0).contact(2.0, 0.01, push=0.01)
+        jaxstab.contact(loop_of(apart, 1.0), 2.0, 0.01, push=0.01)
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from math import exp, pi, sqrt
 
 import numpy as np
 
+import jaxstab
 from jaxstab import minimize_settling
 from jaxstab.conventions import Verdict
 from jaxstab.loop import ContactKind, HapticLoop
@@ -233,7 +234,8 @@ def _quantised_walls() -> Finding:
         loop = HapticLoop(device_mass=mass, device_damping=damping, sample_time=period)
         friction = 10.0 ** random.uniform(-2.0, 0.0, _WALLS)
         encoder = 10.0 ** random.uniform(-6.0, -4.0, _WALLS)
-        contact = loop.contact(
+        contact = jaxstab.contact(
+            loop,
             np.minimum(2.0 * damping / period, 2.0 * friction / encoder),
             0.0,
             friction=friction,

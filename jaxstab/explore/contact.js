@@ -33,7 +33,7 @@ function whyNoContact(setup, wall, { push, speed = 0 }) {
   const fastest = Math.max(delta, Math.sqrt(gamma));
   if (fastest > FASTEST) return "Not simulated: the device without a wall moves too fast for the sampling period.";
   if (samples < FEWEST_SAMPLES) return `Not simulated: the sampling period is too long for a contact of ${DURATION} s; give 250 ms at most.`;
-  if (samples * Math.max(1, fastest) > MOST_STEPS) return "Not simulated: it takes too long in a browser; loop.contact of Python simulates it.";
+  if (samples * Math.max(1, fastest) > MOST_STEPS) return "Not simulated: it takes too long in a browser; jaxstab.contact of Python simulates it.";
   if (push === 0 && speed === 0) return "Not simulated: give a push, without which nothing moves.";
   if (push !== 0 && gamma === 0 && wall.stiffness === 0) return "Not simulated: without stiffness nothing holds the device against the push.";
   return "";

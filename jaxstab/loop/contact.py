@@ -5,6 +5,7 @@ The kind of a run is read off its last two quarters (``jaxstab.motion.contact``)
 proved: another start, another phase of the encoder or a longer run may end differently.
 """
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -73,9 +74,9 @@ class Contact(NamedTuple):
         ...     device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=1e-3,
         ...     velocity=jaxstab.Velocity.difference(window=0.02),
         ... )
-        >>> loop.contact(5000.0, 30.0, friction=0.3, push=1.0)
+        >>> jaxstab.contact(loop, 5000.0, 30.0, friction=0.3, push=1.0)
         Contact: rests after 53 ms, penetration 0.2635 mm, largest force 1.713 N (rests)
-        >>> loop.contact(3000.0, 15.0, push=1.0).kind
+        >>> jaxstab.contact(loop, 3000.0, 15.0, push=1.0).kind
         <ContactKind.BOUNCES: 3>
     """
 
@@ -98,7 +99,7 @@ class Contact(NamedTuple):
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
-            >>> axes = loop.contact(1000.0, 2.0, push=1.0).plot()
+            >>> axes = jaxstab.contact(loop, 1000.0, 2.0, push=1.0).plot()
         """
         from jaxstab.pictures.style import plot_contact
 
@@ -175,11 +176,83 @@ def contact(
     stiffness: Numbers,
     damping: Numbers,
     *,
+    friction: Numbers = 0.0,
+    static_friction: Numbers = None,
+    encoder: Numbers = 0.0,
+    phase: Numbers = 0.0,
+    force_step: Numbers = 0.0,
+    max_force: Numbers = None,
+    push: Numbers = 0.0,
+    speed: Numbers = 0.0,
+    position: Numbers = 0.0,
+    one_sided: bool = True,
+    pulls: bool = False,
+    duration: int | float = 4.0,
+    delays: Sequence[float] | np.ndarray | None = None,
+    tolerance: Numbers = 1e-6,
     path: bool = True,
-    **options: Any,
 ) -> Contact:
-    """Simulate contacts: ``HapticLoop.contact``."""
-    setup = setup_of(loop, stiffness, damping, **options)
+    """Simulate a contact as it is felt: a one-sided wall, friction, encoder, saturation.
+
+    The motion between samples is exact, friction included. The answer is simulated, not proved:
+    it is that of this start and this duration. Every turn of the motion is followed: behind a
+    grip of 1e9 N/m, that swings many times in a sample, a second takes 12 s of CPU time. Before
+    time 0 the device was at rest where it starts, and no force was on its way. The numbers may
+    be arrays that broadcast.
+
+    Args:
+        loop: any device with a mass at its handle.
+        stiffness, damping: see ``jaxstab.conventions``.
+        friction: Coulomb friction of the device in N, at its handle.
+        static_friction: the largest force in N that does not move the device from rest, at
+            least ``friction``; None for the same.
+        encoder: resolution of the position in m, which is rounded to the nearest step; 0 for
+            none.
+        phase: place of the encoder's steps, as a share of its resolution.
+        force_step: resolution of the force in N; 0 for none.
+        max_force: the largest force of the actuator in N; None for no limit.
+        push: constant force of the hand in N, from time 0 on, positive into the wall.
+        speed: at which device and hand arrive as a whole at time 0, in m/s, positive into the
+            wall; as ``initial_velocity`` of ``HapticLoop.simulate``.
+        position: position at time 0 in m, the penetration if positive.
+        one_sided: the wall acts only where the sampled position is positive.
+        pulls: True for a one-sided wall that may pull; otherwise such forces are 0.
+        duration: of the simulation in s, 16 samples at least.
+        delays: as for ``HapticLoop.simulate``.
+        tolerance: the device rests while it stays within this distance of one place, in m.
+        path: False for the ends alone. Many runs are then one program of JAX, in float64
+            whatever its flag says, on all cores, tile by tile: about ten million samples of one
+            mass per second and core, in little memory.
+
+    Returns:
+        Contact of NumPy arrays of the broadcast shape: the end of each run, and its path.
+
+    Raises: TypeError also if JAX traces anything. ValueError also if nothing moves, a push
+    meets neither wall nor hand stiffness, static friction is below Coulomb friction, or no mass
+    is at the device's handle.
+
+    Source: eqs. (1)-(5) of Hulin, Preusche, Hirzinger (2008), with Coulomb friction.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(
+        ...     device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=1e-3,
+        ...     velocity=jaxstab.Velocity.difference(window=0.02),
+        ... )
+        >>> loop.verdict(3000.0, 15.0)
+        <Verdict.UNSTABLE: 2>
+        >>> jaxstab.contact(loop, 3000.0, 15.0, push=1.0, friction=0.1).kind
+        <ContactKind.RESTS: 1>
+        >>> frictions = [0.0, 0.1, 0.3]
+        >>> ends = jaxstab.contact(loop, 3000.0, 15.0, push=1.0, friction=frictions, path=False)
+        >>> (ends.kind == jaxstab.results.ContactKind.RESTS).tolist()
+        [False, True, True]
+    """
+    setup = setup_of(
+        loop, stiffness, damping, friction=friction, static_friction=static_friction,
+        encoder=encoder, phase=phase, force_step=force_step, max_force=max_force, push=push,
+        speed=speed, position=position, one_sided=one_sided, pulls=pulls, duration=duration,
+        delays=delays, tolerance=tolerance,
+    )  # fmt: skip
     runs = setup.runs
     shape = runs.alpha.shape
     if not path:

@@ -371,7 +371,7 @@ def plot_contact(contact: Contact, ax: Axes | None = None) -> Axes:
     path = contact.path
     if path is None or path.position.ndim != 1:
         raise ValueError(
-            f"there is no single path to draw: {contact!r}; call loop.contact with one wall."
+            f"there is no single path to draw: {contact!r}; call jaxstab.contact with one wall."
         )
     panel = new_axes() if ax is None else ax
     panel.axhline(0.0, color=BLACK, lw=0.6)

@@ -6,7 +6,7 @@ lowest ends of their ranges, the delay is constant and the longest one. The answ
 worst start, which it names.
 
 A table of contacts has a dimension for each list of numbers; ``jaxstab.tables`` computes
-``HapticLoop.contact`` over their grid, block by block.
+``jaxstab.contact`` over their grid, block by block.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -113,7 +113,7 @@ def contacts_or_reasons(scene: Scene) -> Mapping[str, WorstContact | str]:
 def simulated_map(scene: Scene, stiffness: Any, damping: Any, **start: Any) -> Contact:
     """Return the contacts of walls with the device of a scene; by default at its own start."""
     given = _conditions(scene) | start
-    return loop_of(scene.at_longest_delay).contact(stiffness, damping, path=False, **given)
+    return contact(loop_of(scene.at_longest_delay), stiffness, damping, path=False, **given)
 
 
 def map_contacts(
@@ -137,7 +137,7 @@ def map_contacts(
 
 
 def _conditions(scene: Scene) -> dict[str, Any]:
-    """The contacts of a scene, as arguments of ``loop.contact``; ValueError if it has none."""
+    """The contacts of a scene, as arguments of ``jaxstab.contact``; ValueError if it has none."""
     if scene.contact is None:
         raise ValueError(
             f"contact is missing; give contact.push in {scene.units.force}, or contact.speed in "
@@ -236,14 +236,14 @@ def contact_table(
     Args:
         loop: any device with a mass at its handle.
         stiffness, damping: see ``jaxstab.conventions``.
-        **options: those of ``HapticLoop.contact``. Gains and options may be lists of numbers, each
+        **options: those of ``jaxstab.contact``. Gains and options may be lists of numbers, each
             of which is a dimension of its name.
 
     Returns:
         ``xarray.Dataset`` over a dimension for each list, in their order, with the fields of
         ``Contact``; names, units and the meaning of codes are attributes.
 
-    Raises: as ``HapticLoop.contact``; ValueError for arrays of several dimensions, or no list;
+    Raises: as ``jaxstab.contact``; ValueError for arrays of several dimensions, or no list;
     RuntimeError if xarray, dask or h5netcdf is missing, or a worker died.
 
     Source: eqs. (1)-(5) of Hulin, Preusche, Hirzinger (2008); Coulomb friction between the samples.
@@ -262,7 +262,7 @@ def contact_table(
 def plan_contacts(
     loop: LoopParameters, given: Mapping[str, Any], units: Units = Units.LINE
 ) -> "Dataset":
-    """Return the table of contacts, to be computed by dask; ``given`` as for ``loop.contact``."""
+    """Return the table of contacts, to be computed by dask; ``given`` as ``contact`` has it."""
     require_kind("loop", loop, LoopParameters, "HapticLoop")
     xarray, loop = xarray_module(), loop.in_floats()
     lists = {
@@ -271,7 +271,7 @@ def plan_contacts(
         if name in _AXES and (isinstance(value, Sequence) or np.ndim(value))
     }
     if not lists:
-        raise ValueError("no argument is a list, so there is nothing to map; use loop.contact.")
+        raise ValueError("no argument is a list, so there is nothing to map; use jaxstab.contact.")
     for name, values in lists.items():
         if values.ndim > 1 or not values.size:
             raise ValueError(
@@ -304,6 +304,7 @@ def _fields(
     loop: LoopParameters, fixed: Mapping[str, Any], names: tuple[str, ...], *columns: np.ndarray
 ) -> tuple[np.ndarray, ...]:
     """Return the fields of the contacts in a block of a table."""
-    ends = contact(loop, **fixed, **dict(zip(names, columns, strict=True)), path=False)
+    given: Any = dict(zip(names, columns, strict=True))
+    ends = contact(loop, **fixed, **given, path=False)
     shape = np.broadcast_shapes(*map(np.shape, columns))
     return tuple(np.reshape(getattr(ends, name), shape) for name in _VARIABLES)
