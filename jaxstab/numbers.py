@@ -6,7 +6,7 @@ The sentence has the name, the value and the range. Tracers pass: their values a
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
-from math import inf
+from math import inf, isfinite
 from typing import Any
 
 import numpy as np
@@ -183,3 +183,33 @@ def _allowed(low: int | float, high: int | float, is_open: bool, unit: str) -> s
     if high == inf:
         return "" if low == -inf else f" {'>' if is_open else '>='} {low:g}{of_unit}"
     return f" {'above' if is_open else 'from'} {low:g} to {high:g}{of_unit}"
+
+
+# Lists of values as a text.
+
+
+def listed(key: str, text: str) -> list[float | str]:
+    """Return the values of a text: ``LOW:HIGH:COUNT`` or ``VALUE,VALUE,...``; ValueError.
+
+    Spaced ones have 15 digits: 0.2, not 0.20000000000000001.
+    """
+    ends, kinds, most = text.split(":"), (float, float, int), 100_000
+    if len(ends) == 1 and text:
+        return [number_or_text(value) for value in text.split(",")]
+    with suppress(ValueError):
+        low, high, count = (kind(end) for kind, end in zip(kinds, ends, strict=True))
+        if 2 <= count <= most and isfinite(high - low):
+            between = np.linspace(low, high, count)[1:-1].tolist()
+            return [low, *(float(f"{value:.15g}") for value in between), high]
+    raise ValueError(
+        f"{key} is {shortened(text)}; give LOW:HIGH:COUNT with a COUNT from 2 to {most}, "
+        "or VALUE,VALUE,..."
+    )
+
+
+def number_or_text(text: str) -> float | str:
+    """Return the number that a text is, or the text."""
+    try:
+        return float(text)
+    except ValueError:
+        return text

@@ -180,6 +180,10 @@ class Usual(NamedTuple):
     turning: tuple[float, float] | None = None
 
 
+MASSES, INERTIAS, PERIODS = Usual(1e-3, 50.0), Usual(1e-8, 50.0), Usual(1e-5, 0.05)
+"""The usual masses of devices in kg, inertias in kg m^2, and sampling periods in s."""
+
+
 def key(
     check: Check, default: Any = MISSING, usual: Usual | None = None, *, words: str = ""
 ) -> Any:

@@ -311,7 +311,7 @@ def test_a_row_that_is_drawn_again_is_computed_once(
         np.testing.assert_allclose(row.largest_stiffness, own.limits().stiffness, rtol=1e-9)
         gains = row.wall_stiffness.values, row.wall_damping.values
         np.testing.assert_array_equal(row.verdict, own.verdict(*gains))
-    plan = studies.plan_study(TABLE, over, samples=90)[1][-1]
+    plan = studies.plan_study(studies.source_of(TABLE), over, samples=90)[1][-1]
     assert plan.startswith("2 device_mass x 90 sample x 2 wall: 6 loops, about ")
 
 
@@ -409,7 +409,7 @@ def test_where_no_wall_is_stable_the_largest_stiffness_counts_as_0(
 def test_blocks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = small()
     monkeypatch.setattr(studies, "_BLOCK", 20)
-    assert studies.plan_study(TABLE, {"device.mass": [0.1, 0.2]})[0].chunks
+    assert studies.plan_study(studies.source_of(TABLE), {"device.mass": [0.1, 0.2]})[0].chunks
     assert small().identical(whole)
 
 
@@ -417,7 +417,9 @@ def test_costly_loops_come_in_small_blocks() -> None:
     over = {"hand.stiffness": "uniform:100:300"}
     table = {**TABLE, "device": {**TABLE["device"], "modes": [MODE]}}
     for answers, most in ((["verdict"], 8192), (["margins"], 20)):
-        planned, _ = studies.plan_study(table, over, answers=answers, samples=10_000)
+        planned, _ = studies.plan_study(
+            studies.source_of(table), over, answers=answers, samples=10_000
+        )
         assert max(planned.chunks["sample"]) <= most
 
 
@@ -598,7 +600,7 @@ KILL = "import os, sys, time; time.sleep(0.5); os.kill(int(sys.argv[1]), 9)"
 
 def test_a_safety_that_is_not_applied_is_said() -> None:
     table = {**TABLE, "wanted": {"safety": 0.8}}
-    _, notes = studies.plan_study(table, {"device.mass": [0.1, 0.2]})
+    _, notes = studies.plan_study(studies.source_of(table), {"device.mass": [0.1, 0.2]})
     assert notes[0] == "wanted.safety is 0.8: limits are given without it."
 
 
@@ -781,10 +783,10 @@ def test_the_plan_counts_what_it_was_given_and_draws_what_takes_a_minute() -> No
         ),
     ):
         table = {**TABLE, "device": {**TABLE["device"], "modes": modes}}
-        planned, notes = studies.plan_study(table, over, answers=answers)
+        planned, notes = studies.plan_study(studies.source_of(table), over, answers=answers)
         assert planned.sizes["sample"] == samples
         assert notes[-1].startswith(words), notes
-    _, notes = studies.plan_study(table, over, answers=["margins"], samples=9000)
+    _, notes = studies.plan_study(studies.source_of(table), over, answers=["margins"], samples=9000)
     assert "18,000 loops, about 4 h of CPU time" in notes[-1]
 
 

@@ -413,9 +413,9 @@ def contact(output: Path | None, count: int | None, frictions: str | None, **giv
         return _answer(given, "contact")
     beside = {"plot": given["plot"], "csv": given["csv_file"], "json": given["as_json"]}
     refuse(beside, "is given beside --output; give one of them.")
+    from jaxstab.numbers import listed
     from jaxstab.scene.answers import delay_notes
     from jaxstab.scene.contact import map_contacts
-    from jaxstab.scene.study import listed
 
     scene = scene_of(given, "a map")
     t.require_free(output)
@@ -825,7 +825,7 @@ def study(
 
     Lists of values span a grid, distributions are drawn at each of its points.
     """
-    from jaxstab.scene.study import merged, plan_study, summary
+    from jaxstab.scene.study import merged, plan_study, source_of, summary
 
     if output is None and (merge or part):
         raise click.UsageError("--merge and --part are given without --output; give the file.")
@@ -842,7 +842,7 @@ def study(
         keep_programs()
         number, count = part or (1, 1)
         asked: Any = {"answers": given["answer"], "samples": samples, "seed": seed}
-        table, notes = plan_study(scene, over, part=(number, count), **asked)
+        table, notes = plan_study(source_of(scene), over, part=(number, count), **asked)
         if samples is not None and "sample" not in table.dims:
             raise click.UsageError(
                 f"--samples is {samples}, but nothing is drawn; leave it out, or let --over have a "

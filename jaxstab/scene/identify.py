@@ -45,7 +45,7 @@ Intervals are those of errors of the log alone, or those of the servo's, where t
 import os
 import warnings
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from math import floor, inf, isnan, log, log10, nan, pi, sqrt
 from typing import Any, NamedTuple
 
@@ -62,9 +62,9 @@ from jaxstab.model.linear_loop import loop_polynomial
 from jaxstab.motion.contact import Flow, Plant, Runs, Summary, series, series_at
 from jaxstab.numbers import checked, checked_number
 from jaxstab.scene.answers import Quantity
-from jaxstab.scene.scene import ControllerTable, DeviceTable, Units
+from jaxstab.scene.scene import Units
 from jaxstab.shown import printable, rounded_text
-from jaxstab.tables import columns_of
+from jaxstab.tables import INERTIAS, MASSES, PERIODS, columns_of
 
 Rows = Float64[np.ndarray, " row"]
 Values = Float64[np.ndarray, " value"]
@@ -433,13 +433,9 @@ def _stepped(setpoint: Numbers, position: Numbers) -> tuple[Rows, int, float]:
 
 def _warn_of_units(mass: float, period: float) -> None:
     """Warn of a sample time or a mass that no device has: a slip of units."""
-    usual = {
-        x.name: x.metadata["usual"] for kind in (DeviceTable, ControllerTable) for x in fields(kind)
-    }
-    masses = usual["inertia"].low, usual["mass"].high
     given = (
-        ("sample_time", period, "s", *usual["sample_time"][:2]),
-        ("mass", mass, "kg or kg m^2", *masses),
+        ("sample_time", period, "s", PERIODS.low, PERIODS.high),
+        ("mass", mass, "kg or kg m^2", INERTIAS.low, MASSES.high),
     )
     odd = [
         f"{name} is {value:g} {unit}, usual are {low:g} to {high:g}"

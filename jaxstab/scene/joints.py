@@ -33,9 +33,9 @@ from jaxstab.model.filters import Velocity
 from jaxstab.numbers import checked_count, checked_number
 from jaxstab.scene.answers import FORMATS, Answer, GainAnswer, Quantity, formats_of, in_words
 from jaxstab.scene.loops import BUT_FOR_DRIFT
-from jaxstab.scene.scene import ControllerTable, Units
+from jaxstab.scene.scene import Units
 from jaxstab.shown import rounded_text, shortened, table_text
-from jaxstab.tables import text_of
+from jaxstab.tables import PERIODS, text_of
 
 mujoco: Any = lazy_loader.load("mujoco")  # loaded at its first use
 
@@ -128,9 +128,9 @@ def _control(
         )
     hertz = None if is_inside else checked_number("rate", rate, 0.0, is_open=True, unit="Hz")
     period = 1.0 / hertz if hertz else step
-    usual = ControllerTable.__dataclass_fields__["sample_time"].metadata["usual"]
-    if hertz and not usual.low <= period <= usual.high:
-        words = f"usual are {1.0 / usual.high:g} to {1.0 / usual.low:g} Hz; is it a sample time?"
+    low, high = PERIODS[:2]
+    if hertz and not low <= period <= high:
+        words = f"usual are {1.0 / high:g} to {1.0 / low:g} Hz; is it a sample time?"
         warnings.warn(f"rate is {hertz:g} Hz, {words}", stacklevel=3)
     if not simulated:
         return JointControl(period, delay, jitter, velocity, step)

@@ -139,15 +139,12 @@ class DeviceTable(t.Table):
         words="a device by name; jaxstab scene presets lists names",
     )
     mass: tuple[float, float] | None = t.key(
-        t.IntervalCheck("kg", is_positive=True),
-        None,
-        t.Usual(1e-3, 50.0),
-        words="mass of the device",
+        t.IntervalCheck("kg", is_positive=True), None, t.MASSES, words="mass of the device"
     )
     inertia: tuple[float, float] | None = t.key(
         t.IntervalCheck("kg m^2", is_positive=True),
         None,
-        t.Usual(1e-8, 50.0),
+        t.INERTIAS,
         words="moment of inertia of the device",
     )
     damping: float | None = t.key(
@@ -373,7 +370,7 @@ class ControllerTable(t.Table):
     """
 
     sample_time: float = t.key(
-        t.quantity("s", is_positive=True), usual=t.Usual(1e-5, 0.05), words="sampling period"
+        t.quantity("s", is_positive=True), usual=t.PERIODS, words="sampling period"
     )
     delay: tuple[float, float] | None = t.key(t.IntervalCheck("s"), None, words="delay")
     delay_samples: tuple[float, float] | None = t.key(

@@ -28,10 +28,10 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
 from hashlib import sha256
 from itertools import islice, product
-from math import inf, isfinite, log, prod
+from math import inf, log, prod
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float64
@@ -44,7 +44,14 @@ from jaxstab.conventions import Verdict
 from jaxstab.loop import HapticLoop, Loop, limits_of
 from jaxstab.model.gain import Gain
 from jaxstab.motion.bounds import SettlingStatus
-from jaxstab.numbers import checked, checked_count, checked_number, has_shape
+from jaxstab.numbers import (
+    checked,
+    checked_count,
+    checked_number,
+    has_shape,
+    listed,
+    number_or_text,
+)
 from jaxstab.region import RegionStatus
 from jaxstab.scene.answers import delay_notes
 from jaxstab.scene.gains import KEYS, GainScene, any_scene
@@ -58,18 +65,6 @@ if TYPE_CHECKING:
 
 _BLOCK = 1 << 13  # loops times walls
 SAMPLE, WALL, GAINS = "sample", "wall", "gains"  # dimensions
-
-_NUMBERS = {  # keys of a scene that are numbers of a loop: its fields
-    "device.mass": "device_mass",
-    "device.inertia": "device_mass",
-    "device.damping": "device_damping",
-    "hand.mass": "hand_mass",
-    "hand.inertia": "hand_mass",
-    "hand.stiffness": "hand_stiffness",
-    "hand.damping": "hand_damping",
-    "controller.delay": "delay",
-    "controller.delay_samples": "delay_samples",
-}
 
 ANSWERS: dict[str, dict[str, t.Variable]] = {  # beside limits
     "verdict": {"verdict": t.Variable("whether the wall is stable, proved", "1", Verdict)},
@@ -87,65 +82,6 @@ ANSWERS: dict[str, dict[str, t.Variable]] = {  # beside limits
         "spectral_radius_error": t.Variable("proved bound of its error"),
     },
 }
-
-
-def study(
-    of: "HapticLoop | Mapping[str, Any] | str | PathLike[str]",
-    over: Mapping[str, Any],
-    *,
-    answers: Sequence[str] | None = None,
-    walls: Mapping[str, tuple[float, float]] | None = None,
-    samples: int | None = None,
-    seed: int = 0,
-    rng: "int | np.random.Generator | None" = None,
-    part: tuple[int, int] = (1, 1),
-) -> "Dataset":
-    """Answer for many devices, people and controllers, as one labelled table.
-
-    dask computes it block by block: in this process, in others after
-    ``dask.config.set(scheduler="processes")``, or by the workers of the ``distributed.Client``
-    that is open. The values are the same.
-
-    Args:
-        of: a scene (a file, or its tables) or a loop.
-        over: variations, by keys of the scene such as "hand.stiffness", or by fields of the loop:
-            a list of values, (low, high, count), a frozen distribution of ``scipy.stats``, or a
-            text such as "0.1:0.5:20", "csv:hands.csv:stiffness" or "normal:300:100". Lists span a
-            grid; distributions are drawn together, ``samples`` times at each of its points.
-        answers: one or more of "limits", "verdict", "margins", "settling_time", "spectral_radius";
-            all but the first are of walls. By default limits, and verdicts if there are walls.
-        walls: stiffness and damping in SI units by name; those of the scene by default.
-        samples: the number of draws; by default 10,000, or as many as take about a minute.
-        seed: of the draws, a whole number >= 0.
-        rng: in place of it, what ``numpy.random.default_rng`` takes: a seed, or a generator, from
-            which a seed is drawn (SPEC 7). Parts of one study need the same seed.
-        part: (3, 64) computes the third of 64 parts, a piece of the longest dimension.
-
-    Returns:
-        ``xarray.Dataset`` with the dimensions of the lists, ``sample`` and ``wall``; names, units
-        and the meaning of codes are attributes. Its ``to_netcdf`` stores it.
-
-    Raises:
-        ValueError: a key is unknown, a value is refused by the scene, or a distribution reaches
-            where the scene forbids. OSError: a file cannot be read. RuntimeError: xarray, dask or
-            h5netcdf is missing, or a worker died.
-
-    Source: the answers' own, see ``HapticLoop``.
-
-    Example:
-        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-        >>> study = jaxstab.study(loop, over={"device_mass": [0.1, 0.2]})
-        >>> study.largest_stiffness.round().values.tolist()
-        [70643.0, 139265.0]
-        >>> study.largest_stiffness.dims, study.at_damping.units
-        (('device_mass',), 'N s/m')
-    """
-    if rng is not None:
-        seed = int(np.random.default_rng(rng).integers(2**32))
-    table, _ = plan_study(
-        of, over, answers=answers, walls=walls, samples=samples, seed=seed, part=part
-    )
-    return t.computed(table)
 
 
 def shares(study: "Dataset", *, confidence: float = 0.95) -> "Dataset":
@@ -316,7 +252,7 @@ def _drawn(study: "Dataset", variable: str) -> "DataArray":
 
 
 def plan_study(
-    of: Any,
+    source: "Source",
     over: Mapping[str, Any],
     *,
     answers: Sequence[str] | None = None,
@@ -334,7 +270,6 @@ def plan_study(
         raise TypeError(f"over is {shortened(over)}; give lists of values by the keys that vary.")
     if not over:
         raise ValueError("over is empty; give at least one key that varies.")
-    source = _Source(_table_of(of))
     for key in over:
         source.check_key(key)
     ranges = {key: own for key, own in source.ranges.items() if key not in over}
@@ -370,7 +305,7 @@ def plan_study(
         table = table.assign_coords(
             {SAMPLE: (SAMPLE, numbers, {"long_name": "number of the draw"})}
         )
-    if source.of_gains and WALL in table.dims:
+    if source.has_gains and WALL in table.dims:
         table = table.rename({WALL: GAINS})
     axes = " x ".join(f"{length} {name}" for name, length in table.sizes.items())
     start = min(0.02 * loops, 10.0) * ("limits" in wanted)  # a few one by one, or to compile
@@ -487,7 +422,7 @@ def distribution_of(text: str) -> Any:
         if not values:
             raise ValueError(f"{file} has no rows below its names; give measured values.")
         return CsvColumn(file, column, values)
-    if not parts or isinstance(_number_or_text(kind), float):
+    if not parts or isinstance(number_or_text(kind), float):
         return None
     with suppress(ValueError):
         a, b = map(float, parts)
@@ -502,32 +437,6 @@ def distribution_of(text: str) -> Any:
         f"{shortened(text)} is no distribution; give normal:MEAN:DEVIATION, uniform:LOW:HIGH, "
         "lognormal:MEDIAN:FACTOR with a FACTOR above 1, or csv:FILE:COLUMN."
     )
-
-
-def listed(key: str, text: str) -> list[float | str]:
-    """Return the values of a text: ``LOW:HIGH:COUNT`` or ``VALUE,VALUE,...``; ValueError.
-
-    Spaced ones have 15 digits: 0.2, not 0.20000000000000001.
-    """
-    ends, kinds, most = text.split(":"), (float, float, int), 100_000
-    if len(ends) == 1 and text:
-        return [_number_or_text(value) for value in text.split(",")]
-    with suppress(ValueError):
-        low, high, count = (kind(end) for kind, end in zip(kinds, ends, strict=True))
-        if 2 <= count <= most and isfinite(high - low):
-            between = np.linspace(low, high, count)[1:-1].tolist()
-            return [low, *(float(f"{value:.15g}") for value in between), high]
-    raise ValueError(
-        f"{key} is {shortened(text)}; give LOW:HIGH:COUNT with a COUNT from 2 to {most}, "
-        "or VALUE,VALUE,..."
-    )
-
-
-def _number_or_text(text: str) -> float | str:
-    try:
-        return float(text)
-    except ValueError:
-        return text
 
 
 def draws_of(
@@ -569,7 +478,7 @@ Columns = dict[str, "DataArray"]  # by the keys that vary, each along its own na
 
 
 def _columns(
-    source: "_Source", given: Mapping[str, Any], samples: int, seed: int
+    source: "Source", given: Mapping[str, Any], samples: int, seed: int
 ) -> tuple[Columns, list[str]]:
     """The columns that vary, those of lists first, and notes on the draws."""
     made, columns, notes = t.xarray_module().DataArray, Columns(), list[str]()
@@ -656,35 +565,28 @@ def _wanted(
     return tuple(name for name in known if name in wanted)
 
 
-# Where loops come from: a loop, or the tables of a scene.
-
-
-def _table_of(source: Any) -> Any:
-    """A loop, or the tables of a scene."""
-    if isinstance(source, HapticLoop):
-        return source.in_floats()
-    if isinstance(source, Mapping):
-        return dict(source)
-    if isinstance(source, str | PathLike):
-        return t.read_table(source, "scene")
-    raise TypeError(f"of is {shortened(source)}; give a scene (file or tables) or a HapticLoop.")
+# Where loops come from.
 
 
 @dataclass(frozen=True)
-class _Source:
-    """The source of loops: a loop, or the tables of a scene."""
+class Source:
+    """The source of the loops of a study: here one loop, whose fields vary."""
 
     table: Any
+    """What the loops are made from; its text is kept with the study."""
+
+    has_gains: ClassVar[bool] = False
+    """Whether the pairs that are judged are called gains, not walls."""
 
     @property
-    def is_loop(self) -> bool:
-        return isinstance(self.table, HapticLoop)
+    def gains(self) -> tuple[Gain, Gain]:
+        """The gains of the loops."""
+        return HapticLoop.gains
 
-    @cached_property
-    def of_gains(self) -> GainScene | None:
-        """The scene, if it is of another loop than that of a wall."""
-        scene = None if self.is_loop or "loop" not in self.table else any_scene(self.table)
-        return scene if isinstance(scene, GainScene) else None
+    @property
+    def numbers(self) -> Mapping[str, str]:
+        """The fields of a loop that are numbers, by their keys."""
+        return {name: name for name in _FIELDS if name != "sample_time"}
 
     @property
     def answers(self) -> dict[str, dict[str, t.Variable]]:
@@ -692,95 +594,45 @@ class _Source:
         (first, second), limits = self.gains, dict[str, t.Variable]()
         for own, other in ((first, second), (second, first)):
             name = f"{own.sense} {own.name}"
-            limits[name.replace(" ", "_")] = t.Variable(f"{name}, at the edge", own.unit)
+            limits[name.replace(" ", "_")] = t.Variable(f"{name} of stable gains", own.unit)
             limits[f"at_{other.name}"] = t.Variable(f"{other.name} at the {name}", other.unit)
         limits["limits_status"] = t.Variable("what is known of the limits", "1", RegionStatus)
-        every = {"verdict": ANSWERS["verdict"], "limits": limits, **ANSWERS}
-        names = ("verdict", "limits", "spectral_radius") if self.of_gains else every
-        return {name: every[name] for name in names}
-
-    @property
-    def gains(self) -> tuple[Gain, Gain]:
-        """The gains of the loops."""
-        return self.of_gains.loop.gains if self.of_gains else HapticLoop.gains
-
-    @property
-    def numbers(self) -> dict[str, str]:
-        """The fields of a loop that are numbers, by their keys."""
-        if self.of_gains:
-            return {}
-        return {name: name for name in _NUMBERS.values()} if self.is_loop else _NUMBERS
+        return {"verdict": ANSWERS["verdict"], "limits": limits, **ANSWERS}
 
     @property
     def units(self) -> Units:
-        turns = not self.is_loop and "inertia" in self.table.get("device", {})
-        return Units.ROTATION if turns else Units.LINE
+        """The units of the answers."""
+        return Units.LINE
 
     @property
     def walls(self) -> dict[str, tuple[float, float]]:
-        """The walls of the scene."""
-        if self.of_gains:
-            return {name: (*pair.values(),) for name, pair in self.of_gains.pairs.items()}  # type: ignore[misc]
-        walls = checked_walls({} if self.is_loop else self.table.get("walls", {}))
-        return {name: (wall.stiffness, wall.damping) for name, wall in walls.items()}
+        """The pairs of gains that are judged if none are given, by name."""
+        return {}
 
     @property
     def ranges(self) -> dict[str, str]:
-        """The ranges of the hand and of the device's mass, as uniform distributions."""
-        ranges = dict[str, str]()
-        if self.of_gains and self.of_gains.is_range:
-            return {"loop.environment": "uniform:{}:{}".format(*self.of_gains.environment)}
-        for key in () if self.is_loop else _NUMBERS:
-            section, _, name = key.partition(".")
-            if section == "controller" or key == "device.damping":
-                continue  # a range of delays is the longest one, and there is one damping
-            match self.table.get(section):
-                case {**keys} if isinstance(keys.get(name), list | tuple):
-                    with suppress(ValueError):  # the scene refuses it later
-                        low, high = t.IntervalCheck("")(keys[name])
-                        ranges |= {key: f"uniform:{low!r}:{high!r}"} if low < high else {}
-        return ranges
+        """What varies if nothing else is said of it: distributions by their keys."""
+        return {}
 
     def check_key(self, key: str) -> None:
-        if self.is_loop:
-            if key in ("velocity", "position", "device"):
-                raise ValueError(
-                    f"{key} cannot vary in a study of a loop; give a scene, of which the numbers "
-                    "of its filters and device can, or ask limits_of for a list of loops."
-                )
-            t.check_keys("", [key], [*self.numbers, "sample_time"])
-        elif (section := key.partition(".")[0]) in ("walls", "gains"):
-            what = "pair of gains" if section == "gains" else "wall"
-            raise ValueError(f"{key} cannot vary in a study; give a {what} for each value.")
-        elif key == "loop.kind" or section in ("wanted", "contact"):
-            raise ValueError(f"{key} cannot vary in a study; leave it out.")
+        """Refuse a key that cannot vary: ValueError."""
+        if key in ("velocity", "position", "device"):
+            raise ValueError(
+                f"{key} cannot vary in a study of a loop; give a scene, of which the numbers "
+                "of its filters and device can, or ask limits_of for a list of loops."
+            )
+        t.check_keys("", [key], [*_FIELDS])
+
+    def described(self, key: str) -> tuple[str, str]:
+        """The description and the unit of a key."""
+        return _FIELDS[key]
 
     def made(self, values: Mapping[str, Any]) -> Any:
         """The loop with these values in place of those of the source."""
-        if self.is_loop:
-            return _with(self.table, values)
-        scene = self._scene(values)
-        return scene.loop if isinstance(scene, GainScene) else loop_of(scene.at_longest_delay)
-
-    def _scene(self, values: Mapping[str, Any]) -> Scene | GainScene:
-        table: Any = self.table
-        if any(key.startswith("controller.delay") for key in values):  # in place of either unit
-            own = table.get("controller", {})
-            if isinstance(own, Mapping):  # the scene refuses all else
-                kept = {k for k in own if not k.startswith("delay") and k != "lost_samples"}
-                table = {**table, "controller": {k: own[k] for k in kept}}
-        if "controller.velocity.preset" in values:  # in place of all that the scene says
-            table = t.with_value(table, "controller.velocity", {}, ["controller", "velocity"])
-        for key, value in values.items():
-            is_whole = isinstance(value, float) and value.is_integer()  # as a window in samples
-            table = t.with_value(table, key, int(value) if is_whole else value, key.split("."))
-        return any_scene(table)
+        return _with(self.table, values)
 
     def check(self, columns: Columns) -> list[str]:
-        """Refuse bad values at the corners of what varies; return warnings of unusual values.
-
-        Both are the sentences that a scene gives.
-        """
+        """Refuse bad values at the corners of what varies; return ``notes`` on the outer ones."""
         ends = {key: np.unique(own.values) for key, own in columns.items()}
         for key, values in ends.items():  # all values of a few, the first and the last of others
             few = 2 if key in self.numbers else 64
@@ -788,17 +640,23 @@ class _Source:
         most_corners = 4096  # loops that are made before anything is computed
         for corner in islice(product(*ends.values()), most_corners):
             self.made(dict(zip(ends, corner, strict=True)))
-        if self.is_loop:
-            return []
-        outer = [self._scene({key: own[k] for key, own in ends.items()}) for k in (0, -1)]
-        walls = (scene for scene in outer if isinstance(scene, Scene))
-        notes = [f"{note}." for scene in walls for note in delay_notes(scene)]
-        wanted = self.table.get("wanted", {})
-        if "safety" in wanted:
-            notes.append(f"wanted.safety is {wanted['safety']}: limits are given without it.")
-        unusual = [words for scene in outer for words in scene.unusual()]
-        notes += [f"warning: {said}{'' if said.endswith('?') else '.'}" for said in unusual]
-        return list(dict.fromkeys(notes))
+        return self.notes([{key: own[k] for key, own in ends.items()} for k in (0, -1)])
+
+    def notes(self, outer: Sequence[Mapping[str, Any]]) -> list[str]:
+        """Sentences on the lowest and the highest values: what answers hold for, warnings."""
+        return []
+
+
+_FIELDS = {  # of a loop
+    "device_mass": ("mass of the device", "kg"),
+    "device_damping": ("damping of the device", "N s/m"),
+    "hand_mass": ("mass of the hand", "kg"),
+    "hand_stiffness": ("stiffness of the hand", "N/m"),
+    "hand_damping": ("damping of the hand", "N s/m"),
+    "delay": ("delay", "s"),
+    "delay_samples": ("delay", "samples"),
+    "sample_time": ("sampling period", "s"),
+}
 
 
 def _with(loop: Any, given: Mapping[str, Any]) -> Any:
@@ -815,7 +673,7 @@ def _with(loop: Any, given: Mapping[str, Any]) -> Any:
 
 
 def _seconds_of_a_loop(
-    source: _Source, given: Mapping[str, Any], wanted: Sequence[str], walls: int
+    source: Source, given: Mapping[str, Any], wanted: Sequence[str], walls: int
 ) -> float:
     """The CPU time of a loop in s, from that of the kind of the first one."""
     columns, _ = _columns(source, given, 1, 0)
@@ -845,7 +703,7 @@ def _time(seconds: float) -> str:
 class _Block:
     """The function of a block: values of the keys in, variables of the answers out."""
 
-    source: _Source
+    source: Source
     keys: tuple[str, ...]
     gains: NDArray[np.float64]  # (2, wall)
     answers: tuple[str, ...]
@@ -912,10 +770,11 @@ def _table(block: _Block, columns: Columns, gains: Mapping[str, Any], size: int)
     """Return the answers to be computed in blocks, with what varies and walls as coordinates."""
     table = t.table_of(block, columns, block.variables, size, {WALL: len(gains)})
     labels: dict[str, Any] = {
-        str(own.name): (own.dims, own.values, *_described(key)) for key, own in columns.items()
+        str(own.name): (own.dims, own.values, *block.source.described(key))
+        for key, own in columns.items()
     }
     if WALL in table.dims:
-        what = "gains" if block.source.of_gains else "wall"
+        what = "gains" if block.source.has_gains else "wall"
         labels[WALL] = WALL, np.array([*gains]), f"name of the {what}", "1"
         for own, values in zip(block.source.gains, block.gains, strict=True):
             labels[f"{what}_{own.name}"] = WALL, values, f"{own.name} of the {what}", own.unit
@@ -928,10 +787,200 @@ def _table(block: _Block, columns: Columns, gains: Mapping[str, Any], size: int)
     )
 
 
+# Studies of scenes.
+
+_NUMBERS = {  # keys of a scene that are numbers of a loop: its fields
+    "device.mass": "device_mass",
+    "device.inertia": "device_mass",
+    "device.damping": "device_damping",
+    "hand.mass": "hand_mass",
+    "hand.inertia": "hand_mass",
+    "hand.stiffness": "hand_stiffness",
+    "hand.damping": "hand_damping",
+    "controller.delay": "delay",
+    "controller.delay_samples": "delay_samples",
+}
+
+
+def study(
+    of: "HapticLoop | Mapping[str, Any] | str | PathLike[str]",
+    over: Mapping[str, Any],
+    *,
+    answers: Sequence[str] | None = None,
+    walls: Mapping[str, tuple[float, float]] | None = None,
+    samples: int | None = None,
+    seed: int = 0,
+    rng: "int | np.random.Generator | None" = None,
+    part: tuple[int, int] = (1, 1),
+) -> "Dataset":
+    """Answer for many devices, people and controllers, as one labelled table.
+
+    dask computes it block by block: in this process, in others after
+    ``dask.config.set(scheduler="processes")``, or by the workers of the ``distributed.Client``
+    that is open. The values are the same.
+
+    Args:
+        of: a scene (a file, or its tables) or a loop.
+        over: variations, by keys of the scene such as "hand.stiffness", or by fields of the loop:
+            a list of values, (low, high, count), a frozen distribution of ``scipy.stats``, or a
+            text such as "0.1:0.5:20", "csv:hands.csv:stiffness" or "normal:300:100". Lists span a
+            grid; distributions are drawn together, ``samples`` times at each of its points.
+        answers: one or more of "limits", "verdict", "margins", "settling_time", "spectral_radius";
+            all but the first are of walls. By default limits, and verdicts if there are walls.
+        walls: stiffness and damping in SI units by name; those of the scene by default.
+        samples: the number of draws; by default 10,000, or as many as take about a minute.
+        seed: of the draws, a whole number >= 0.
+        rng: in place of it, what ``numpy.random.default_rng`` takes: a seed, or a generator, from
+            which a seed is drawn (SPEC 7). Parts of one study need the same seed.
+        part: (3, 64) computes the third of 64 parts, a piece of the longest dimension.
+
+    Returns:
+        ``xarray.Dataset`` with the dimensions of the lists, ``sample`` and ``wall``; names, units
+        and the meaning of codes are attributes. Its ``to_netcdf`` stores it.
+
+    Raises:
+        ValueError: a key is unknown, a value is refused by the scene, or a distribution reaches
+            where the scene forbids. OSError: a file cannot be read. RuntimeError: xarray, dask or
+            h5netcdf is missing, or a worker died.
+
+    Source: the answers' own, see ``HapticLoop``.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> study = jaxstab.study(loop, over={"device_mass": [0.1, 0.2]})
+        >>> study.largest_stiffness.round().values.tolist()
+        [70643.0, 139265.0]
+        >>> study.largest_stiffness.dims, study.at_damping.units
+        (('device_mass',), 'N s/m')
+    """
+    if rng is not None:
+        seed = int(np.random.default_rng(rng).integers(2**32))
+    table, _ = plan_study(
+        source_of(of), over, answers=answers, walls=walls, samples=samples, seed=seed, part=part
+    )
+    return t.computed(table)
+
+
+def source_of(of: Any) -> Source:
+    """Return the source of the loops of a study; TypeError for what is none."""
+    if isinstance(of, HapticLoop):
+        return Source(of.in_floats())
+    if isinstance(of, Mapping):
+        return SceneSource(dict(of))
+    if isinstance(of, str | PathLike):
+        return SceneSource(t.read_table(of, "scene"))
+    raise TypeError(f"of is {shortened(of)}; give a scene (file or tables) or a HapticLoop.")
+
+
+@dataclass(frozen=True)
+class SceneSource(Source):
+    """The tables of a scene, whose keys vary."""
+
+    @cached_property
+    def _of_gains(self) -> GainScene | None:
+        """The scene, if it is of another loop than that of a wall."""
+        scene = any_scene(self.table) if "loop" in self.table else None
+        return scene if isinstance(scene, GainScene) else None
+
+    @property
+    def has_gains(self) -> bool:  # type: ignore[override]
+        """Whether the pairs that are judged are called gains, not walls."""
+        return self._of_gains is not None
+
+    @property
+    def gains(self) -> tuple[Gain, Gain]:
+        """The gains of the loops."""
+        return self._of_gains.loop.gains if self._of_gains else super().gains
+
+    @property
+    def numbers(self) -> Mapping[str, str]:
+        """The fields of a loop that are numbers, by their keys."""
+        return {} if self._of_gains else _NUMBERS
+
+    @property
+    def answers(self) -> dict[str, dict[str, t.Variable]]:
+        """The answers that may be asked for, by name."""
+        every = super().answers
+        names = ("verdict", "limits", "spectral_radius") if self._of_gains else every
+        return {name: every[name] for name in names}
+
+    @property
+    def units(self) -> Units:
+        """The units of the answers."""
+        return Units.ROTATION if "inertia" in self.table.get("device", {}) else Units.LINE
+
+    @property
+    def walls(self) -> dict[str, tuple[float, float]]:
+        """The walls of the scene, or its pairs of gains."""
+        if self._of_gains:
+            return {name: (*pair.values(),) for name, pair in self._of_gains.pairs.items()}  # type: ignore[misc]
+        walls = checked_walls(self.table.get("walls", {}))
+        return {name: (wall.stiffness, wall.damping) for name, wall in walls.items()}
+
+    @property
+    def ranges(self) -> dict[str, str]:
+        """The ranges of the hand and of the device's mass, as uniform distributions."""
+        ranges = dict[str, str]()
+        if self._of_gains and self._of_gains.is_range:
+            return {"loop.environment": "uniform:{}:{}".format(*self._of_gains.environment)}
+        for key in _NUMBERS:
+            section, _, name = key.partition(".")
+            if section == "controller" or key == "device.damping":
+                continue  # a range of delays is the longest one, and there is one damping
+            match self.table.get(section):
+                case {**keys} if isinstance(keys.get(name), list | tuple):
+                    with suppress(ValueError):  # the scene refuses it later
+                        low, high = t.IntervalCheck("")(keys[name])
+                        ranges |= {key: f"uniform:{low!r}:{high!r}"} if low < high else {}
+        return ranges
+
+    def check_key(self, key: str) -> None:
+        """Refuse a key that cannot vary: ValueError."""
+        if (section := key.partition(".")[0]) in ("walls", "gains"):
+            what = "pair of gains" if section == "gains" else "wall"
+            raise ValueError(f"{key} cannot vary in a study; give a {what} for each value.")
+        if key == "loop.kind" or section in ("wanted", "contact"):
+            raise ValueError(f"{key} cannot vary in a study; leave it out.")
+
+    def described(self, key: str) -> tuple[str, str]:
+        """The description and the unit of a key."""
+        return _described(key)
+
+    def made(self, values: Mapping[str, Any]) -> Any:
+        """The loop with these values in place of those of the scene."""
+        scene = self._scene(values)
+        return scene.loop if isinstance(scene, GainScene) else loop_of(scene.at_longest_delay)
+
+    def notes(self, outer: Sequence[Mapping[str, Any]]) -> list[str]:
+        """The sentences of the scene on the lowest and the highest values."""
+        scenes = [*map(self._scene, outer)]
+        walls = (scene for scene in scenes if isinstance(scene, Scene))
+        notes = [f"{note}." for scene in walls for note in delay_notes(scene)]
+        wanted = self.table.get("wanted", {})
+        if "safety" in wanted:
+            notes.append(f"wanted.safety is {wanted['safety']}: limits are given without it.")
+        unusual = [words for scene in scenes for words in scene.unusual()]
+        notes += [f"warning: {said}{'' if said.endswith('?') else '.'}" for said in unusual]
+        return list(dict.fromkeys(notes))
+
+    def _scene(self, values: Mapping[str, Any]) -> Scene | GainScene:
+        table: Any = self.table
+        if any(key.startswith("controller.delay") for key in values):  # in place of either unit
+            own = table.get("controller", {})
+            if isinstance(own, Mapping):  # the scene refuses all else
+                kept = {k for k in own if not k.startswith("delay") and k != "lost_samples"}
+                table = {**table, "controller": {k: own[k] for k in kept}}
+        if "controller.velocity.preset" in values:  # in place of all that the scene says
+            table = t.with_value(table, "controller.velocity", {}, ["controller", "velocity"])
+        for key, value in values.items():
+            is_whole = isinstance(value, float) and value.is_integer()  # as a window in samples
+            table = t.with_value(table, key, int(value) if is_whole else value, key.split("."))
+        return any_scene(table)
+
+
 def _described(key: str) -> tuple[str, str]:
-    """The description and the unit of a key of a scene, or of a field of a loop."""
-    of_loops = {field: own for own, field in reversed(_NUMBERS.items())}
-    *_, section, name = ["controller", *of_loops.get(key, key).split(".")]
+    """The description and the unit of a key of a scene."""
+    *_, section, name = key.split(".")
     section = key.split(".")[-3] if section.isdigit() else section
     table = {**TABLES, **INNER}.get(section, t.Table)
     entry = {entry.name: entry for entry in fields(table)}.get(name)
