@@ -217,7 +217,7 @@ def test_every_computing_function_is_in_the_table_of_calls() -> None:
 
 
 def test_tests_import_no_tests() -> None:
-    texts = {path.name: path.read_text(encoding="utf-8") for path in (ROOT / "tests").glob("*.py")}
+    texts = {path.name: path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("*.py")}
     assert [n for n, text in texts.items() if re.search(r"(?m)^(from|import) test_", text)] == []
 
 

@@ -163,8 +163,10 @@ class Map:
         self.seconds: dict[str, float] = {}
         for path in folder.glob("*.xml"):
             for case in ElementTree.parse(path).iter("testcase"):
-                module, *within = case.attrib["classname"].split(".", 2)[1:]
-                test = "::".join([f"tests/{module}.py", *within, case.attrib["name"]])
+                within = case.attrib["classname"].split(".")
+                last = next(k for k, name in enumerate(within, 1) if name.startswith("test_"))
+                file = "/".join(within[:last]) + ".py"
+                test = "::".join([file, *within[last:], case.attrib["name"]])
                 self.seconds[test] = float(case.attrib["time"])
         self.lines: dict[str, dict[int, set[str]]] = {}
         for path in folder.glob(".coverage*"):

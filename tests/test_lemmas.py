@@ -30,7 +30,7 @@ LEMMA = re.compile(
     r"""(?P<name>[A-Z]\d+)\ \(.+\)\n\n
     -\ \*\*In\ words\*\*:\ (?P<words>.+\n(\ \ .+\n)?)
     -\ \*\*Used\ by\*\*\ `(?P<code>jaxstab/[\w/]+\.py)::(?P<function>\w+)`\.\n
-    -\ \*\*If\ false\*\*,\ `(?P<file>tests/test_\w+\.py)::(?P<test>test_\w+)`\ fails\.\n\n""",
+    -\ \*\*If\ false\*\*,\ `(?P<file>tests/[\w/]+\.py)::(?P<test>test_\w+)`\ fails\.\n\n""",
     re.VERBOSE,
 )
 

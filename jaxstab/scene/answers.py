@@ -429,12 +429,12 @@ class Basis(GainAnswer):
     @property
     def range_of_delays(self) -> str | None:
         """The description of a range of delays; None for one delay."""
-        return None if self.delay_is == _ASSUMED else self.delay_is
+        return None if self.delay_is == ASSUMED else self.delay_is
 
     @property
     def delay_in_words(self) -> str:
         """The delay with its unit and in samples, or that it is assumed."""
-        if self.delay_is == _ASSUMED:
+        if self.delay_is == ASSUMED:
             return f"{self.delay:g} ({self.delay_is})"
         words = Quantity("s").words(self.delay)
         plural = "" if self.delay_samples == 1.0 else "s"
@@ -485,14 +485,14 @@ def _for_json(value: Any) -> Any:
 
 # The basis of a scene's answers, stated in front of them.
 
-_ASSUMED = "assumed: the scene names none"
+ASSUMED = "assumed: the scene names none"
 
 
 def _delay_is(controller: ControllerTable, constant: str | None) -> str | None:
     """Describe a range of delays and for which of them answers hold; None for one delay."""
     if controller.has_one_delay:
         is_given = controller.delay is not None or controller.delay_samples is not None
-        return None if is_given else _ASSUMED
+        return None if is_given else ASSUMED
     low, high = controller.delays
     ends = Quantity("s").words((low, high)).replace(" to ", " and ")
     every = "sequence" if controller.moves else "constant delay"
@@ -544,7 +544,7 @@ def basis_of(scene: Scene, *, at_longest: bool = False, constant: str = "the lon
             "lost_samples": None if at_longest else controller.lost_samples or None,
             "mass": device.effective_mass,
             "damping": device.effective_damping,
-            "damping_is": _ASSUMED if device.damping is None else None,
+            "damping_is": ASSUMED if device.damping is None else None,
             "hand_mass": None if hand is None else hand.effective_mass,
             "hand_stiffness": None if hand is None else hand.stiffness,
             "hand_damping": None if hand is None else hand.damping,
