@@ -630,6 +630,13 @@ def test_a_device_that_is_one_mass_in_disguise_moves_as_that_mass(
     assert np.array_equal(ours.kind, theirs.kind)
 
 
+APART = jaxstab.Device.modes(  # the encoder and the handle move against each other
+    [jaxstab.Mode(frequency=35.0, damping_ratio=0.05, modal_mass=8e-4, encoder=-1.0)],
+    mass=8e-4,
+    damping=2e-3,
+)
+
+
 @pytest.mark.parametrize(
     ("loop", "sentence"),
     [
@@ -647,6 +654,14 @@ def test_a_device_that_is_one_mass_in_disguise_moves_as_that_mass(
                 sample_time=PERIOD,
             ),
             "zero DC gain",
+        ),
+        (
+            HapticLoop(device=jaxstab.Device.simulated(0.1, step=2e-3), sample_time=2e-3),
+            "at its steps alone",
+        ),
+        (
+            HapticLoop(device=APART, sample_time=1e-3),
+            "does not show the handle",
         ),
     ],
 )

@@ -360,7 +360,6 @@ REFUSALS: list[tuple[Callable[[], object], str]] = [
         "same step",
     ),
     (lambda: WITH_ITS_OWN.settling_time(100.0, 1.0), "an estimator from positions"),
-    (lambda: jaxstab.contact(LOOP, 100.0, 1.0, push=1.0), "at its steps alone"),
     (lambda: LOOP.amplitude(100.0, 1.0, encoder=1e-4), "at its steps alone"),
     (lambda: LOOP.jitter_margin(100.0, 1.0), "at its steps alone"),
     (lambda: LOOP.verdict(100.0, 1.0, delays=(0.0, 2e-3)), "at its steps alone"),

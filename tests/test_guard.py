@@ -16,7 +16,7 @@ import jaxstab.guard.build
 from benchmarks.truth.filtered import FilteredLoop, average, difference
 from benchmarks.truth.moving import Moving, growth
 from jaxstab import HandRange, HapticLoop, Velocity, Verdict, build_guard
-from jaxstab.guard.guard import boundary_of
+from jaxstab.guard.guard import boundary_of, checked_name
 from jaxstab.results import Guard
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -426,3 +426,31 @@ def test_the_command_refuses_in_one_sentence(words: list[str], tmp_path: Path) -
     answer = run("guard", *scene, "-o", tmp_path / "a.h", *words)
     assert answer.exit_code != 0
     assert_one_sentence(answer.stderr)
+
+
+@pytest.mark.campaign
+def test_a_guard_takes_the_range_of_its_scene(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    work = jaxstab.guard.build._OF_MASS._replace(most=20_000)
+    monkeypatch.setattr(jaxstab.guard.build, "_OF_MASS", work)
+    header, text = tmp_path / "g.h", "[device]\nmass = 0.1\ndamping = 0.05\n[controller]\n"
+    file = tmp_path / "scene.toml"
+    for keys, options, words in (
+        ("", [], "delay, varying from sample to sample: 0.0009 to 0.0011 s"),
+        ("lost_samples = 1", [], "varying from sample to sample, up to 1 in a row lost: "),
+        ("delay_is = 'constant'", [], "delay, constant during contact: 0.0009 to 0.0011 s"),
+        ("", ["--constant-delay"], "delay, constant during contact: 0.0009 to 0.0011 s"),
+        ("", ["--delay", "1e-3", "--lost-samples", "1"], "in a row lost: 0.001 to 0.002 s"),
+    ):
+        file.write_text(f"{text}sample_time = 0.001\ndelay = [0.9e-3, 1.1e-3]\n{keys}\n", "utf-8")
+        narrow = ["--mass", "0.0999:0.1", "--cells", "1,1,16", "-o", header]
+        answer = run("guard", file, *options, *narrow)
+        assert answer.exit_code == 0, answer.stderr
+        assert words in answer.stdout
+
+
+@pytest.mark.parametrize("name", ["", "1a", "a-b", "a b", "a\n", "a" * 41])
+def test_a_guard_has_a_short_name_of_c(name: str) -> None:
+    with pytest.raises(ValueError, match=r"name is .*; give at most 40 letters"):
+        checked_name(name)

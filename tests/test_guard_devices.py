@@ -603,6 +603,14 @@ def test_other_devices_are_refused(device: Device, words: str) -> None:
         built(device)
 
 
+def test_a_mode_with_a_negative_mass_is_refused_beside_a_hand() -> None:
+    mode = Mode(frequency=35.0, damping_ratio=0.05, modal_mass=-8e-4)
+    loop = HapticLoop(device=Device.modes([mode], mass=8e-4, damping=2e-3), sample_time=1e-3)
+    ranges: dict[str, Any] = {"mass": (7e-4, 8e-4), "delay": (1e-3, 1.1e-3)}
+    with pytest.raises(ValueError, match=r"modal_mass is -0\.0008 beside a hand"):
+        build_guard(loop, HandRange(damping=(0.0, 0.005)), **ranges)
+
+
 def test_what_nothing_damps_is_refused() -> None:
     arm = Hand.mass_spring_damper(0.1).with_grip(stiffness=2000.0)
     device = Device.mass_spring_damper(0.25, damping=0.5).held_by(arm)

@@ -13,7 +13,6 @@ import scipy.linalg
 from march import Plant, difference_taps, low_pass_taps, march_of_plant
 from mpmath import mp
 
-import jaxstab
 from jaxstab import (
     Device,
     Hand,
@@ -409,14 +408,6 @@ def test_a_handle_with_a_negative_mass_is_refused() -> None:
     device = Device.state_space(a, b * [1.0, -1.0], c)
     with pytest.raises(ValueError, match="as a negative mass would"):
         held(device, (1e-3, 0.0, 0.0))
-
-
-def test_contacts_need_an_encoder_that_shows_the_handle() -> None:
-    loop = loop_of(held(TWO_BODIES, (0.0, 0.005, 0.0)), 1.0)
-    assert jaxstab.contact(loop, 2.0, 0.01, push=0.01).kind is not None
-    apart = Device.modes([replace(TWO_BODIES.mechanism.modes[0], handle=1.0)], mass=8e-4)  # type: ignore[union-attr]
-    with pytest.raises(ValueError, match="does not show the handle"):
-        jaxstab.contact(loop_of(apart, 1.0), 2.0, 0.01, push=0.01)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,6 @@ import pytest
 from commands import START, assert_one_sentence, run, run_code, run_process
 
 import jaxstab
-from jaxstab.guard.guard import checked_name
 from jaxstab.scene import Scene
 from jaxstab.tables import MOST_BYTES, MOST_LETTERS, checked_label
 
@@ -235,12 +234,6 @@ def test_what_a_guard_is_about_stays_in_its_comment(
         guard.header("g", "", ("kg", "N/m */ int injected; /*", "N s/m"))
     header = guard.header("g", "two\nlines: /* and //")
     assert " * two\n * lines: /* and //\n" in header
-
-
-@pytest.mark.parametrize("name", ["", "1a", "a-b", "a b", "a\n", "a" * 41])
-def test_a_guard_has_a_short_name_of_c(name: str) -> None:
-    with pytest.raises(ValueError, match=r"name is .*; give at most 40 letters"):
-        checked_name(name)
 
 
 # ------------------------------------------------------------------------------------ 31: words

@@ -18,7 +18,6 @@ from benchmarks.truth.loop import spectral_radius
 from benchmarks.truth.moving import LOST, Moving, growth
 from jaxstab import HapticLoop
 from jaxstab.conventions import Verdict
-from jaxstab.guard import build as guards
 from jaxstab.pictures.scene import scene_figure
 from jaxstab.scene import Scene, check_walls, loop_of, scene_limits, tune_walls
 from jaxstab.scene.answers import GainAnswer
@@ -653,28 +652,6 @@ def test_ranges_of_delays_are_rows_of_a_table(tmp_path: Path) -> None:
     assert [row["inputs.delay_high"] for row in rows] == ["0.001"]
     assert rows[0]["walls.soft.verdict"] == "unstable"
     assert rows[0]["refusal"] == ""
-
-
-@pytest.mark.campaign
-def test_a_guard_takes_the_range_of_its_scene(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    work = guards._OF_MASS._replace(most=20_000)
-    monkeypatch.setattr(guards, "_OF_MASS", work)
-    header, text = tmp_path / "g.h", "[device]\nmass = 0.1\ndamping = 0.05\n[controller]\n"
-    file = tmp_path / "scene.toml"
-    for keys, options, words in (
-        ("", [], "delay, varying from sample to sample: 0.0009 to 0.0011 s"),
-        ("lost_samples = 1", [], "varying from sample to sample, up to 1 in a row lost: "),
-        ("delay_is = 'constant'", [], "delay, constant during contact: 0.0009 to 0.0011 s"),
-        ("", ["--constant-delay"], "delay, constant during contact: 0.0009 to 0.0011 s"),
-        ("", ["--delay", "1e-3", "--lost-samples", "1"], "in a row lost: 0.001 to 0.002 s"),
-    ):
-        file.write_text(f"{text}sample_time = 0.001\ndelay = [0.9e-3, 1.1e-3]\n{keys}\n", "utf-8")
-        narrow = ["--mass", "0.0999:0.1", "--cells", "1,1,16", "-o", header]
-        answer = run("guard", file, *options, *narrow)
-        assert answer.exit_code == 0, answer.stderr
-        assert words in answer.stdout
 
 
 def test_a_constant_range_gives_an_atlas_its_corners() -> None:
