@@ -145,7 +145,7 @@ def _hints(annotations: dict[str, Any], names: dict[str, Any]) -> Iterator[tuple
         lookup.__annotations__ = {name: annotation}
         try:
             hint = get_type_hints(lookup, names, include_extras=True)[name]
-        except NameError:  # imported for the type checker, or local
+        except (NameError, ModuleNotFoundError):  # for the type checker, local, or of a lost room
             continue
         if hint is not Any and isinstance(hint, Hashable):  # not the arguments of any function
             yield name, hint
