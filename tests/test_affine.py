@@ -449,6 +449,18 @@ def test_printed_limits_are_rounded_to_the_stable_side() -> None:
     assert "least    mass = 0.015851 kg" in repr(limits)
 
 
+def test_rows_of_a_region_end_where_a_root_is_on_the_circle() -> None:
+    loop = joint(substeps=4)
+    rows = loop.region().intervals_at(kd=np.array([5.0, 18.75, 30.0]))
+    assert np.isnan(rows[2]).all()
+    for kd, (low, high) in zip((5.0, 18.75), rows[:2, 0], strict=True):
+        assert low == 0.0
+        for kp, is_inside in ((high * (1.0 - 1e-6), True), (high * (1.0 + 1e-6), False)):
+            p = loop.parts.polynomial(kp, kd)
+            with flint.ctx.workdps(60):
+                assert all(abs(root) < 1 for root, _ in p.complex_roots()) is is_inside
+
+
 def printed_pairs(limits: jaxstab.results.Limits) -> list[dict[str, float]]:
     """The pairs of gains that a person reads, in their order, but for limits that have none."""
     lines = [re.findall(r"(\w+) = ([-+.e\d]+)", line) for line in repr(limits).splitlines()[1:]]

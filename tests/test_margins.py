@@ -131,6 +131,17 @@ def test_a_negative_gain_may_be_multiplied_up_to_the_end_below_it(
         assert loop.verdict(*moved) == code
 
 
+@pytest.mark.parametrize("wall", [(300.0, 2.0), (50.0, 6.0)])
+def test_both_gains_of_a_wall_may_grow_by_the_gain_margin(wall: tuple[float, float]) -> None:
+    """Just below the factor all roots are inside the circle, just above one is outside."""
+    least, most = PHANTOM.margins(*wall).both_factors.tolist()
+    assert least == 0.0
+    assert most == pytest.approx(PHANTOM.frequency_margins(*wall).largest_gain.value, rel=1e-9)
+    for share, is_inside in ((1.0 - 1e-6, True), (1.0 + 1e-6, False)):
+        stiffness, damping = (share * most * gain for gain in wall)
+        assert (true_radius(PHANTOM, stiffness, damping, PHANTOM.delay_samples) < 1.0) is is_inside
+
+
 def test_a_gain_of_zero_may_be_multiplied_by_anything() -> None:
     found = PHANTOM.margins(300.0, 0.0)
     assert found.verdict == Verdict.STABLE
