@@ -1,7 +1,7 @@
 """The one owner of compilation: which calls go to XLA, in which shapes, with which options.
 
-A kernel written for both array namespaces (``jaxstab.arrays``) is wrapped once, by ``compiled``, and
-one rule says who computes:
+A kernel written for both array namespaces (``jaxstab.arrays``) is wrapped once, by ``compiled``,
+and one rule says who computes:
 
 - JAX arrays and tracers: XLA.
 - NumPy arrays: NumPy, until it has spent on one program as much time as XLA takes to compile it,
@@ -48,13 +48,13 @@ Item = TypeVar("Item")
 
 TILE = 4096  # points whose working set stays in the cache of a CPU
 
-# What NumPy computes while XLA compiles: verdicts in one to two seconds, plants in six, coefficients
-# of dense polynomials, or angles of a boundary.
+# What NumPy computes while XLA compiles: verdicts in one to two seconds, plants in six, numbers of
+# dense polynomials, or angles of a boundary.
 MANY = 1 << 21
 MANY_PLANTS = 1 << 18
 MANY_COEFFICIENTS = 1 << 22
 MANY_ANGLES = 1 << 18
-_FEW = 1 << 8  # points for which no program pays: NumPy needs no longer than to call one
+FEW = 1 << 8  # points for which no program pays: NumPy needs no longer than to call one
 _FOR_A_CORE = 1 << 17  # points from which on a second core pays
 
 # Options of XLA's compiler for CPUs; ``compiler_options`` leaves out what a release lacks. They are
@@ -129,7 +129,7 @@ def pays(
     program: Hashable, size: int, many: int | float, shapes: Iterable[tuple[int, ...]] = ()
 ) -> bool:
     """True once NumPy, with so many points more, has computed ``many`` for one program of XLA."""
-    if size < min(many, _FEW):
+    if size < min(many, FEW):
         return False
     own = program, *(tuple(map(_filled_length, shape)) for shape in shapes)
     _computed[own] += size
