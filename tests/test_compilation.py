@@ -411,6 +411,34 @@ def test_a_damaged_program_is_compiled_again_and_the_remedy_is_named(tmp_path: P
     assert told[1].count("\n") == 1
 
 
+COUNTED_ON_A_PAGE = """
+import contextlib, json, re, sys
+import jax
+
+compiled = []
+jax.monitoring.register_event_duration_secs_listener(
+    lambda name, _, **__: compiled.append(name) if "backend_compile" in name else None
+)
+import jaxstab
+code = re.findall("^```python\\n(.*?)^```", open(sys.argv[1]).read(), re.DOTALL | re.MULTILINE)
+counts = []
+for lines in code:
+    if "jax" in lines.split():
+        compiled.clear()
+        with contextlib.redirect_stdout(sys.stderr):
+            exec(lines)
+        counts.append(len(compiled))
+print(json.dumps(counts))
+"""
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("page", ["README.md", "docs/mapper.md"])
+def test_what_a_page_says_is_compiled_is(page: str) -> None:
+    counts = printed_by(COUNTED_ON_A_PAGE, page, JAX_ENABLE_X64="1").pop()
+    assert counts > 0
+
+
 @pytest.fixture
 def programs_run(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """How many points each call gave to XLA, of a kernel that NumPy computes up to 3,000 times."""
