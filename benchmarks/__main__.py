@@ -15,7 +15,8 @@ from benchmarks.record import Row
 
 BENCHMARKS = (
     "latency", "boundary", "regions", "answers", "resolution", "throughput", "accelerator",
-    "scaling", "ranges", "loops", "many", "exact", "polynomials", "rivals", "stress", "measured",
+    "scaling", "ranges", "loops", "many", "mapper", "exact", "polynomials", "rivals", "stress",
+    "measured",
 )  # fmt: skip
 OF_THE_EXTRA = {"control", "mpmath", "mujoco"}  # truths and rivals, in the extra `test`
 

@@ -14,6 +14,7 @@ from benchmarks.record import Record, Row
 
 ROOT = Path(__file__).parents[1]
 README, PAGE = ROOT / "README.md", ROOT / "docs" / "accuracy.md"
+MAP = ROOT / "docs" / "mapper.md"
 
 _WAYS = ("nearest", "linear", "cubic")
 _KINDS = {
@@ -112,8 +113,28 @@ def put_into_pages(records: list[Record]) -> None:
         of_page["devices"] = accelerated(devices)
     if any(one["benchmark"] == "jitter" for one in records):
         of_page["delays"] = moving_delays(records)
+    if any(one["benchmark"] == "mapper" for one in records):
+        put_between(MAP, "table of {}: {}", {"maps": maps(records)})
     put_between(README, "table of {}: {}", of_readme)
     put_between(PAGE, "table of {}: {}", of_page)
+
+
+def maps(records: list[Record]) -> str:
+    """The CPU time of a point of dense grids, by how many points there are, beside its error."""
+    one = of_one_machine(records)["mapper"]
+    sizes = sorted({row["batch"] for row in one["rows"]})
+    lines = []
+    for section, some in _grouped(one["rows"], "section").items():
+        for method, rows in _grouped(some, "method").items():
+            by_size = {row["batch"]: row for row in rows}
+            own = [
+                f"{_time(row['seconds_per_point'])}, {row['times_numpy_eigvals']:.2g}x"
+                for row in map(by_size.__getitem__, sizes)
+            ]
+            error = max(row["error"] for row in by_size.values())
+            lines.append((section, method, *own, f"{error:.1e}"))
+    heading = ("grid", "method", *(f"{size:,} points" for size in sizes), "largest error")
+    return f"{_caption(one)}\n\n{of_cells(heading, lines)}"
 
 
 def put_between(page: Path, marker: str, tables: dict[str, str]) -> None:

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING, field, fields, is_dataclass
 from enum import IntEnum
-from functools import cache
+from functools import cache, lru_cache, wraps
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -174,6 +174,25 @@ def _register_once() -> None:
             jax.tree_util.register_pytree_node_class(cls)
         else:
             jax.tree_util.register_dataclass(cls)
+
+
+def remembered(function: Callable[..., Tree]) -> Callable[..., Tree]:
+    """Remember what a function gives for small arrays of NumPy; nobody may change it."""
+    small = 2048  # numbers
+
+    @lru_cache(maxsize=128)
+    def of_bytes(shapes: tuple[tuple[int, ...], ...], *values: bytes, **options: Any) -> Tree:
+        numbers = map(np.frombuffer, values)
+        return function(*map(np.reshape, numbers, shapes), **options)
+
+    @wraps(function)
+    def call(*arrays: Array, **options: Any) -> Tree:
+        if is_any_jax(arrays) or sum(map(np.size, arrays)) > small:
+            return function(*arrays, **options)
+        own = [np.asarray(array, np.float64) for array in arrays]
+        return of_bytes(tuple(map(np.shape, own)), *(array.tobytes() for array in own), **options)
+
+    return call
 
 
 def filled(like: Array, value: float) -> Array:

@@ -1,9 +1,16 @@
 """The one owner of compilation: which calls go to XLA, in which shapes, with which options.
 
-A kernel written for both array namespaces (``jaxstab.arrays``) is wrapped once, by ``compiled``. A
-call with JAX arrays or tracers is compiled by XLA, one with numbers or small NumPy arrays is
-answered by NumPy, and one with NumPy arrays of ``many`` elements goes to XLA and returns NumPy.
-XLA compiles for each shape; so what others give is padded here, to few shapes.
+A kernel written for both array namespaces (``jaxstab.arrays``) is wrapped once, by ``compiled``,
+and one rule says who computes:
+
+- JAX arrays and tracers: XLA.
+- NumPy arrays: NumPy, until it has spent on one program as much time as XLA takes to compile it,
+  summed over calls; from then on, or at once where one call is that large, XLA, which returns
+  NumPy. So nobody waits for more than twice the best.
+- Numbers, and arrays of a few hundred: NumPy.
+
+Time is counted in points (``many``), so that answers do not hang on a clock. XLA compiles for each
+shape; so what others give is padded here, to few shapes.
 """
 
 import os
@@ -41,12 +48,13 @@ Item = TypeVar("Item")
 
 TILE = 4096  # points whose working set stays in the cache of a CPU
 
-# Sizes from which on XLA answers for NumPy arrays: it compiles for one to three seconds, in which
-# NumPy computes this many points of any kernel, or plants, coefficients or angles of a boundary.
-MANY = 1 << 15
-MANY_PLANTS = 1 << 16
-MANY_COEFFICIENTS = 1 << 20
+# What NumPy computes while XLA compiles: verdicts in one to two seconds, plants in six, numbers of
+# dense polynomials, or angles of a boundary.
+MANY = 1 << 21
+MANY_PLANTS = 1 << 18
+MANY_COEFFICIENTS = 1 << 22
 MANY_ANGLES = 1 << 18
+FEW = 1 << 8  # points for which no program pays: NumPy needs no longer than to call one
 _FOR_A_CORE = 1 << 17  # points from which on a second core pays
 
 # Options of XLA's compiler for CPUs; ``compiler_options`` leaves out what a release lacks. They are
@@ -71,11 +79,11 @@ def compiled(
     pointwise: bool = False,
     parallel: bool = False,
 ) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
-    """Let XLA answer for JAX arrays, and for ``many`` points and more; NumPy for the rest.
+    """Let XLA answer for JAX arrays, and for NumPy arrays once that pays; NumPy for the rest.
 
     Args:
         static: names of arguments that are compiled in, to be given by keyword.
-        many: size of the grid of NumPy arguments from which on XLA answers, as NumPy arrays.
+        many: points of NumPy arguments that NumPy computes while XLA compiles (``pays``).
         wide: use the widest vectors of the CPU, for plain arithmetic on many points.
         pointwise: each point of the grid is computed on its own, so grids of NumPy arrays are
             filled up to one of few sizes.
@@ -100,7 +108,8 @@ def compiled(
                 # Within another compilation an option cannot be given.
                 is_outer = not any(map(is_traced, given))
                 return program(wide and is_outer)(*arguments, **options)
-            if many == np.inf or _size(given) < many:
+            own = kernel, *(options[name] for name in static if name in options)
+            if many == np.inf or not pays(own, _size(given), many, map(np.shape, given)):
                 with np.errstate(all="ignore"):  # as XLA does: NaN and infinity are answers
                     return kernel(*arguments, **options)
             if pointwise:
@@ -111,6 +120,26 @@ def compiled(
         return call
 
     return decorate
+
+
+_computed: dict[Hashable, float] = defaultdict(float)
+
+
+def pays(
+    program: Hashable, size: int, many: int | float, shapes: Iterable[tuple[int, ...]] = ()
+) -> bool:
+    """True once NumPy, with so many points more, has computed ``many`` for one program of XLA."""
+    if size < min(many, FEW):
+        return False
+    own = program, *(tuple(map(_filled_length, shape)) for shape in shapes)
+    _computed[own] += size
+    return _computed[own] >= many
+
+
+def _filled_length(length: int) -> int:
+    """Return a length of five binary digits, at most 6 % more than the given one."""
+    step = 1 << max(0, length.bit_length() - 5)
+    return -(-length // step) * step
 
 
 def _size(arrays: list[Any]) -> int:
@@ -278,10 +307,7 @@ def filled_up(function: Callable[..., Result], *arguments: Any, is_smooth: bool 
     (``is_smooth``), with points that continue it evenly.
     """
     shape = np.broadcast_shapes(*map(np.shape, leaves(arguments)))
-    # Each axis is filled up to a length of five binary digits, which is at most 6 % more; so grids
-    # of new sizes are rarely compiled anew.
-    steps = (1 << max(0, length.bit_length() - 5) for length in shape)
-    filled = [-(-length // step) * step for length, step in zip(shape, steps, strict=True)]
+    filled = list(map(_filled_length, shape))  # so grids of new sizes are rarely compiled anew
 
     def fill(leaf: Any) -> Any:
         for axis, length in enumerate(np.shape(leaf), start=-np.ndim(leaf)):

@@ -18,7 +18,7 @@ import pytest
 from calls import COMPUTING_CALLS, as_text, outcome
 
 import jaxstab
-from jaxstab.batches import compiler_options
+from jaxstab.batches import compiled, compiler_options
 from jaxstab.model.double_double import two_sum
 from jaxstab.point import dominance
 
@@ -183,7 +183,9 @@ import json, tempfile
 import jax
 import numpy as np
 import jaxstab
-from jaxstab import AtlasSpec, FieldSpec
+from jaxstab import AtlasSpec, FieldSpec, batches
+
+batches.pays = lambda program, size, many, shapes=(): size >= min(many, 30_000)
 
 def walls(count):
     rng = np.random.default_rng(count)
@@ -407,6 +409,63 @@ def test_a_damaged_program_is_compiled_again_and_the_remedy_is_named(tmp_path: P
     assert told[0] == ""
     assert told[1].endswith(f"; delete {tmp_path}.\n")
     assert told[1].count("\n") == 1
+
+
+COUNTED_ON_A_PAGE = """
+import contextlib, json, re, sys
+import jax
+
+compiled = []
+jax.monitoring.register_event_duration_secs_listener(
+    lambda name, _, **__: compiled.append(name) if "backend_compile" in name else None
+)
+import jaxstab
+code = re.findall("^```python\\n(.*?)^```", open(sys.argv[1]).read(), re.DOTALL | re.MULTILINE)
+counts = []
+for lines in code:
+    if "jax" in lines.split():
+        compiled.clear()
+        with contextlib.redirect_stdout(sys.stderr):
+            exec(lines)
+        counts.append(len(compiled))
+print(json.dumps(counts))
+"""
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("page", ["README.md", "docs/mapper.md"])
+def test_what_a_page_says_is_compiled_is(page: str) -> None:
+    counts = printed_by(COUNTED_ON_A_PAGE, page, JAX_ENABLE_X64="1").pop()
+    assert counts > 0
+
+
+@pytest.fixture
+def programs_run(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """How many points each call gave to XLA, of a kernel that NumPy computes up to 3,000 times."""
+    given: list[int] = []
+
+    def counted(function: Any, *arguments: Any, **options: Any) -> Any:
+        given.append(max(map(np.size, arguments)))
+        return function(*arguments, **options)
+
+    monkeypatch.setattr("jaxstab.batches.in_float64", counted)
+    return given
+
+
+def test_xla_answers_once_numpy_has_computed_as_long_as_compiling_takes(
+    programs_run: list[int],
+) -> None:
+    kernel = compiled(static=["power"], many=3000)(lambda x, *, power: x**power)
+    for size in (1000, 1000, 999, 900, 255):  # of one program, of another shape, and few
+        kernel(np.ones(size), power=2)
+    assert programs_run == []
+    kernel(np.ones(1001), power=3)
+    assert programs_run == []
+    kernel(np.ones(1001), power=2)
+    assert programs_run == [1001]
+    kernel(np.ones(1000), power=2)
+    kernel(np.ones(3000), power=4)  # at once
+    assert programs_run == [1001, 1000, 3000]
 
 
 def test_a_folder_that_cannot_be_made_is_an_error(tmp_path: Path) -> None:

@@ -153,9 +153,14 @@ def test_gains_far_above_all_limits_are_decided_at_long_delays(
     np.testing.assert_array_equal(codes, expected)
 
 
-def test_every_delay_of_an_array_gets_the_verdict_of_its_own(rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("way", ["NumPy", "a program", "arrays of JAX"])
+def test_every_delay_of_an_array_gets_the_verdict_of_its_own(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, way: str
+) -> None:
     alpha, beta = rng.uniform(-0.01, 0.2, (7, 1, 1)), rng.uniform(0, 1, (11, 1))
-    codes = verdict(alpha, beta, **HAPTIC, delay=DELAY_OF_MANY)
+    monkeypatch.setattr(verdicts, "pays", lambda *_: way == "a program")
+    own = map(jnp.asarray, (alpha, beta)) if way == "arrays of JAX" else (alpha, beta)
+    codes = verdict(*own, **HAPTIC, delay=DELAY_OF_MANY)
     assert codes.shape == (7, 11, 5)
     assert codes.dtype == jnp.int8
     for place, delay in enumerate(DELAY_OF_MANY):
@@ -182,7 +187,6 @@ def test_the_verdict_of_a_large_grid_is_the_same_on_one_core_and_on_three(
     alone = verdict(alpha, beta, **points)
     monkeypatch.setattr("jaxstab.batches._FOR_A_CORE", 10)
     monkeypatch.setattr("jaxstab.batches._cores", lambda: 3)
-    monkeypatch.setattr("jaxstab.point.verdicts._PAYS_FROM", 10)
     for kernel in ("_short_codes", "_long_codes"):
         many = compiled(
             static=["degree"] * (kernel == "_short_codes"), many=10, pointwise=True, wide=True
@@ -244,22 +248,15 @@ def test_no_other_verdict_is_true() -> None:
     assert [code for code in Verdict if code] == [Verdict.STABLE]
 
 
-def test_kernels_are_chosen_by_the_degree_and_how_many_points_there_are(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """XLA compiles each degree up to 12, of many points up to 26; one loop serves all others."""
+def test_kernels_are_chosen_by_the_degree(monkeypatch: pytest.MonkeyPatch) -> None:
+    """XLA compiles each degree up to 26, and one loop for all others."""
     for name in ("_untiled_codes", "_short_codes", "_long_codes"):
         monkeypatch.setattr(verdicts, name, lambda *_, name=name, **__: name.split("_")[1])
-    few, many = ([np.broadcast_to(0.0, 1 << power)] * 3 for power in (18, 19))
-    chosen = {
-        "untiled": [(many, 3), (many, 4)],
-        "short": [(few, 5), (few, 12), (many, 13), (many, 26)],
-        "long": [(few, 13), (few, 26), (many, 27)],
-    }
-    for name, asked in chosen.items():
-        for points, degree in asked:
+    chosen = {"untiled": [3, 4], "short": [5, 12, 13, 26], "long": [27, 300]}
+    for name, degrees in chosen.items():
+        for degree in degrees:
             form = verdicts.Form(degree - 3, is_fractional=False)
-            assert verdicts._float_codes(tuple(points), form) == name
+            assert verdicts._float_codes((np.zeros(3),) * 3, form) == name
 
 
 @pytest.mark.parametrize("damping", [0.0, 1e-3])

@@ -22,7 +22,7 @@ keep their relative accuracy even at gamma = (2 pi)^2, delta = 0, where N(z) van
 """
 
 from fractions import Fraction
-from functools import cache, lru_cache, partial
+from functools import cache, partial
 from math import factorial
 from typing import Any, NamedTuple
 
@@ -38,6 +38,7 @@ from jaxstab.arrays import (
     is_any_traced,
     is_traced,
     namespace,
+    remembered,
     repeat,
     take,
     tree_map,
@@ -168,29 +169,21 @@ class PlantCoefficients(NamedTuple):
     den_at_one: Array
 
 
+@remembered
 def plant_pairs(gamma: Numbers, delta: Numbers, fraction: Numbers) -> PlantCoefficients:
     """The plant coefficients as double-double pairs, for sums that may still cancel.
 
     A concrete ``fraction`` (of the delay, in [0, 1)) that is zero throughout costs a third.
     """
     values = float_arrays(gamma, delta, fraction)
-    values = namespace(values).broadcast_arrays(*values)
+    xp = namespace(values)
+    values = xp.broadcast_arrays(*values)
     whole = not is_traced(fraction) and not np.any(fraction)
-    if namespace(values) is np and values[0].size <= 2048:
-        return _remembered(values[0].shape, *(value.tobytes() for value in values))
-    return _plant_pairs(*values, whole=whole)
-
-
-@lru_cache(maxsize=128)
-def _remembered(shape: tuple[int, ...], *values: bytes) -> PlantCoefficients:
-    """Plants of NumPy: verdicts and radii of walls ask for the same."""
-    numbers = [np.frombuffer(each).reshape(shape) for each in values]
-    whole = not np.any(numbers[2])
-    if numbers[0].size != 1:
-        return _plant_pairs(*numbers, whole=whole)
+    if xp is not np or values[0].size != 1:
+        return _plant_pairs(*values, whole=whole)
     # Plain numbers are many times faster than arrays of one.
-    pairs = _plant_pairs(*(each.item() for each in numbers), whole=whole)
-    return tree_map(lambda number: np.full(shape, number), pairs)
+    pairs = _plant_pairs(*(each.item() for each in values), whole=whole)
+    return tree_map(lambda number: np.full(values[0].shape, number), pairs)
 
 
 def pairs_error(gamma: Numbers, delta: Numbers) -> Array:

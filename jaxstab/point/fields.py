@@ -32,7 +32,7 @@ from jaxstab.arrays import (
     repeat,
     tree_map,
 )
-from jaxstab.batches import MANY, compiled, is_on_cpu, over_tiles
+from jaxstab.batches import compiled, is_on_cpu, over_tiles
 from jaxstab.model.filters import NO_FILTERS, Filters
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.point.poles import Complex, companion_poles, distance_to_root, evaluated
@@ -42,6 +42,7 @@ from jaxstab.point.verdicts import Form, Points, Values, filtered_loops
 from jaxstab.rounding import SAFETY, UNIT
 
 UNKNOWN = -1  # poles outside of the circle, where one is too close to it to tell
+_MANY = 2**17  # points of which LAPACK finds eigenvalues while XLA compiles
 _LONGEST = 9  # degree up to which these doublings and the proof are compiled without loops
 _BESIDE = 2.0**-17  # how far inside of the root the circle is, relative
 _BLOCK = 2**18  # points of a part of a grid, which bound the memory
@@ -113,7 +114,7 @@ def fields_of_grid(
     return fields
 
 
-@compiled(static=["method"], many=MANY, wide=True, pointwise=True)
+@compiled(static=["method"], many=_MANY, wide=True, pointwise=True)
 def _fields(alpha: Array, beta: Array, loop: LinearLoop, *, method: str) -> PoleFields:
     # Each stage is a loop over tiles of its own: XLA computes what several results share anew. The
     # coefficients, too, are computed in each: that takes less time than to read them from memory.

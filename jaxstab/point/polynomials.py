@@ -168,7 +168,7 @@ def codes_in_float64(coefficients: Array, *, roundings: float = 0.0) -> Array:
     return xp.where(is_one, codes, np.int8(Verdict.UNDECIDED))
 
 
-@compiled(many=MANY_COEFFICIENTS)
+@compiled(many=1 << 21)  # of which LAPACK finds roots in the time
 def _radii(coefficients: Array) -> tuple[Array, Array]:
     xp = namespace(coefficients)
     monic = _monic(coefficients)

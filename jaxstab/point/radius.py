@@ -29,6 +29,7 @@ from jaxstab.arrays import (
     Numbers,
     are_numbers,
     constant,
+    is_any_jax,
     is_any_traced,
     leaves,
     named,
@@ -38,7 +39,7 @@ from jaxstab.arrays import (
     tree_map,
     with_values,
 )
-from jaxstab.batches import MANY, compiled
+from jaxstab.batches import FEW, compiled, pays
 from jaxstab.conventions import RadiusStatus, Verdict
 from jaxstab.model import (
     DoubleDouble,
@@ -224,6 +225,8 @@ def scaled_polynomial(
 
 
 _LIST = 1 << 12  # points whose companion matrices are made at once
+_APART = 1 << 15  # points of one delay from which on they are asked apart from other delays
+_MANY = 1 << 21  # points times degree of which LAPACK finds eigenvalues while XLA compiles
 
 
 class SpectralRadius(NamedTuple):
@@ -317,7 +320,8 @@ def spectral_radius(
     is_fast, xp = method == "fast" and not filters, namespace(arguments)
     # Many points of one delay stay where JAX has them; other questions are NumPy's.
     shape = np.broadcast_shapes(samples.shape, *map(np.shape, parameters))
-    own = xp if is_fast and _is_for_many(shape, samples) else np
+    is_kept = is_fast and xp is not np and _is_for_many([xp.asarray(0.0)], shape, samples)
+    own = xp if is_kept else np
     points = [*(own.asarray(value, np.float64) for value in parameters), samples]
     if filters:
         both = filtered_radius(Points(*points), filters)
@@ -350,7 +354,7 @@ def _concrete_radius(points: list[Array], *, is_fast: bool) -> tuple[Array, Arra
         (listed,) = looked_up([delay], shape, indices)
         delays, number = np.unique(listed, return_inverse=True)
         parts = [indices]  # of few points for each delay
-        if delays.size * MANY <= indices.size:
+        if delays.size * _APART <= indices.size:
             parts = [indices[number == k] for k in range(delays.size)]
         for part in parts:
             *listed, own = looked_up(points, shape, part)
@@ -364,7 +368,7 @@ def _of_delay(
     parameters: list[Array], shape: tuple[int, ...], delay: Values | float, *, is_fast: bool
 ) -> tuple[Array, Array]:
     """Return the answer at points of one delay, or of delays of the same form of p(z)."""
-    if is_fast and _is_for_many(shape, delay):
+    if is_fast and _is_for_many(parameters, shape, delay):
         value, error, still_open = fast_radius(parameters, shape, float(delay))
     else:
         value, error = np.zeros(shape), np.full(shape, np.inf)
@@ -381,8 +385,14 @@ def _of_delay(
     return value, error
 
 
-def _is_for_many(shape: tuple[int, ...], delay: Values | float) -> bool:
-    return prod(shape) >= MANY and np.size(delay) == 1 and bool(delay <= LONGEST_DELAY)
+def _is_for_many(parameters: list[Array], shape: tuple[int, ...], delay: Values | float) -> bool:
+    """True where XLA is not slower than eigenvalues, the time for compiling included."""
+    if np.size(delay) > 1 or delay > LONGEST_DELAY:
+        return False
+    if is_any_jax(parameters):
+        return prod(shape) >= FEW
+    degree = polynomial_degree(float(delay))
+    return pays((fast_radius, degree), prod(shape), _MANY / degree)
 
 
 def _few(

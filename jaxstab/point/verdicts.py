@@ -17,7 +17,6 @@ at the degree that its delay gives. NumPy and XLA run the same kernels (``batche
 
 from dataclasses import replace
 from functools import partial
-from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,12 +27,14 @@ from jaxstab.arrays import (
     Numbers,
     bits,
     is_any_traced,
+    is_jax,
     is_traced,
     named,
     namespace,
+    remembered,
     tree_map,
 )
-from jaxstab.batches import MANY, TILE, compiled, lists, over_tiles
+from jaxstab.batches import MANY, TILE, compiled, lists, over_tiles, pays
 from jaxstab.conventions import Verdict
 from jaxstab.exact import wall_verdict
 from jaxstab.model import (
@@ -78,7 +79,7 @@ class Form(NamedTuple):
     def from_delay(cls, delay: Numbers | TracedDelay) -> "Form":
         """Return the form for one delay in samples; a fraction that is traced may be any."""
         if isinstance(delay, TracedDelay):
-            return cls(delay.whole, True, delay.longest if is_traced(delay.whole) else None)
+            return cls(delay.whole, True, delay.longest if is_jax(delay.whole) else None)
         samples = np.asarray(delay, np.float64).item()
         return cls(int(samples), samples % 1.0 > 0.0)
 
@@ -172,8 +173,7 @@ def _loop_float_codes(alpha: Array, beta: Array, loop: LinearLoop, *, degree: in
 
 # The p(z) of eq. (9) in the form of the recursion, and the rounding errors of forming it.
 
-HIGHEST_UNROLLED = 12  # degree up to which XLA compiles the recursion without a loop
-_PAYS_FROM = 1 << 19  # points
+HIGHEST_SHORT = 12  # degree up to which nothing but the end of the recursion is needed
 
 
 class Plant(NamedTuple):
@@ -194,6 +194,7 @@ class Plant(NamedTuple):
     sum: Array  # N(1)
 
 
+@remembered
 def float_plant(gamma: Array, delta: Array, fraction: Array, *, is_fractional: bool) -> Plant:
     """The plant rounded to float64; without a fraction, ``fraction`` is not read."""
     # Not in one jit: plant_pairs takes long to compile, and others share what was compiled.
@@ -256,7 +257,7 @@ def loop_codes(
     ends = _ends(alpha, beta, gamma, plant, degree)
     # A coefficient of a stable polynomial is at most binomial(n, i). Numbers stay finite so.
     large = size_sum(chain.tail) - chain.error > 8.0 * 2.0**degree
-    if not isinstance(degree, int) or degree > HIGHEST_UNROLLED:
+    if not isinstance(degree, int) or degree > HIGHEST_SHORT:
         chain = replace(chain, outside=False)  # a short recursion decides without it
     codes = decide(chain, ends, UNIT, degree, highest)
     return namespace(large, codes).where(large, Verdict.UNSTABLE, codes).astype(np.int8)
@@ -367,12 +368,14 @@ def verdict(
         late = fraction if form.is_fractional else 0.0
         own = form.whole_delay, late, filters, form.longest
         return linear_verdict(point[0], point[1], filtered_loop(point[2], point[3], *own))
-    if not filters and resolve is None and is_one_program:
-        arrays, form = [xp.asarray(value, xp.float64) for value in point], Form.from_delay(delay)
-        late, is_fractional = xp.asarray(fraction), form.is_fractional
-        plant = float_plant(arrays[2], arrays[3], late, is_fractional=is_fractional)
-        codes = _float_codes((*arrays[:3], plant), form)
-        shape = np.broadcast_shapes(whole.shape, *(array.shape for array in arrays))
+    if not filters and resolve is None and (is_one_program or xp is not np):
+        if not is_one_program:
+            delay = TracedDelay(xp.asarray(whole), fraction, int(whole.max(initial=0.0)))
+        # The plant of what JAX does not have is NumPy's: it takes longest to compile.
+        form = Form.from_delay(delay)
+        plant = float_plant(*point[2:], fraction, is_fractional=form.is_fractional)
+        codes = _float_codes((*point[:3], plant), form)
+        shape = np.broadcast_shapes(whole.shape, *map(np.shape, point))
         return named(xp.array(xp.broadcast_to(codes, shape)), Verdict)
     if is_any_traced(point, delay, filters):
         raise TypeError("verdict takes traced arguments with one delay and without resolve only.")
@@ -387,20 +390,27 @@ def verdict(
 
 
 def _float_codes(arguments: tuple[Any, ...], form: Form) -> Array:
-    """Return the codes of points; unless they are many, XLA compiles once for all long delays."""
+    """Return the codes of points by the kernel of their form."""
     # A loop writes all of its state to memory in each step. Without it a point takes a half to a
-    # third of the time at delays of 10 and 20, but each degree compiles for about a second.
-    highest_of_many = 26
+    # third of the time at delays of 10 and 20, but each degree compiles for a second or two.
+    highest_unrolled = 26  # degree up to which XLA compiles the recursion without a loop
     highest_untiled = 4  # degree up to which a point's numbers stay in registers
     degree = form.degree
     if form.longest is not None:
-        return loop_codes(*arguments, degree=degree, highest=4 + form.longest)
+        return _mixed_codes(arguments, degree, longest=form.longest)
     if degree <= highest_untiled:
         return _untiled_codes(arguments, degree=degree)
-    is_short = degree <= HIGHEST_UNROLLED
-    if not is_short and degree <= highest_of_many:
-        is_short = prod(np.broadcast_shapes(*map(np.shape, arguments[:3]))) >= _PAYS_FROM
-    return _short_codes(arguments, degree=degree) if is_short else _long_codes(arguments, degree)
+    if degree <= highest_unrolled:
+        return _short_codes(arguments, degree=degree)
+    return _long_codes(arguments, degree)
+
+
+@compiled(static=["longest"], many=0, wide=True, pointwise=True)
+def _mixed_codes(arguments: tuple[Any, ...], degree: Array, *, longest: int) -> Array:
+    def codes(degree: Array, *own: Any) -> Array:
+        return loop_codes(*own, degree=degree, highest=4 + longest)
+
+    return over_tiles(codes, (degree, *arguments))
 
 
 @compiled(static=["degree"], many=MANY, wide=True, pointwise=True, parallel=True)
@@ -411,7 +421,7 @@ def _untiled_codes(arguments: tuple[Any, ...], *, degree: int) -> Array:
 @compiled(static=["degree"], many=MANY, wide=True, pointwise=True)
 def _short_codes(arguments: tuple[Any, ...], *, degree: int) -> Array:
     codes = partial(loop_codes, degree=degree)
-    return over_tiles(codes, arguments, TILE if degree <= HIGHEST_UNROLLED else _TILE)
+    return over_tiles(codes, arguments, TILE if degree <= HIGHEST_SHORT else _TILE)
 
 
 @compiled(many=MANY, wide=True, pointwise=True)
@@ -420,16 +430,26 @@ def _long_codes(arguments: tuple[Any, ...], degree: int | Array) -> Array:
 
 
 def _grouped_verdict(points: Points) -> Int8[np.ndarray, "*grid"]:
-    codes = np.zeros(points.shape, np.int8)
-    for form, indices in points.groups(np.full(points.shape, True)):
+    """Return the codes of several delays: form by form in NumPy, or by one program for all."""
+    codes, everywhere = np.zeros(points.shape, np.int8), np.full(points.shape, True)
+    longest = int(np.max(points.delay, initial=0.0))
+    is_mixed = pays((_mixed_codes, longest), codes.size, MANY)
+    whole = np.floor(points.delay)
+    forms = [(Form(whole, True, longest), np.flatnonzero(everywhere))]
+    for form, indices in forms if is_mixed else points.groups(everywhere):
         # Plants on the smallest grid that holds them, then gathered like the points.
         plants = float_plant(
             points.gamma, points.delta, points.delay % 1.0, is_fractional=form.is_fractional
         )
         for block, padded in lists(indices, _LIST):
-            own = padded if block.size >= MANY else block  # fewer are left to NumPy
-            values = tuple(looked_up((*points[:3], plants), points.shape, own))
-            codes.flat[block] = _float_codes(values, form)[: block.size]
+            own = padded if is_mixed else block
+            *values, listed = looked_up((*points[:3], plants, whole), points.shape, own)
+            if is_mixed:
+                found = _float_codes(tuple(values), form._replace(whole_delay=listed))
+            else:
+                with np.errstate(all="ignore"):
+                    found = loop_codes(*values, degree=form.degree)
+            codes.flat[block] = found[: block.size]
     return codes
 
 
