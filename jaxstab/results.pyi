@@ -22,6 +22,8 @@ from .loop import Region as Region
 from .loop import StableEnd as StableEnd
 from .loop import StableValues as StableValues
 from .loop import Tuned as Tuned
+from .loop import UsableLimit as UsableLimit
+from .loop import UsableLimits as UsableLimits
 from .loop import WorstDelays as WorstDelays
 from .loop import WorstHand as WorstHand
 from .model import Gain as Gain

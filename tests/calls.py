@@ -66,6 +66,7 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "HapticLoop.poles": ["loop", 1000.0, 10.0],
     "HapticLoop.margins": ["loop", 1000.0, 10.0],
     "HapticLoop.frequency_margins": ["loop", 1000.0, 10.0],
+    "HapticLoop.is_usable": ["loop", 1000.0, 10.0, {"phase_margin": 30.0}],
     "HapticLoop.jitter_margin": ["loop", 1000.0, 10.0],
     "HapticLoop.worst_delays": ["loop", 1000.0, 10.0, {"delays": (0.0, 1e-3)}],
     "HapticLoop.settling_time": ["loop", 1000.0, 10.0],

@@ -45,7 +45,7 @@ WITH_FLINT = {  # loops, lines of walls and regions are in balls, filters in exa
     *(f"HapticLoop.{line}" for line in ("damping_limits", "stiffness_limits", "limits", "region")),
     *(f"HapticLoop.{line}" for line in ("damping_intervals", "stiffness_intervals", "intervals")),
     *("HapticLoop.boundary_distance", "HapticLoop.robust_limit", "HapticLoop.worst_hand"),
-    *("contact", "HapticLoop.frequency_margins", "HapticLoop.range_of"),
+    *("contact", "HapticLoop.frequency_margins", "HapticLoop.is_usable", "HapticLoop.range_of"),
     "HapticLoop.boundary",
     *(
         "HapticLoop.simulate",

@@ -5,6 +5,7 @@ from .line import stable_line as stable_line
 from .margins import DelayMargin as DelayMargin
 from .margins import DelayStatus as DelayStatus
 from .margins import Reading as Reading
+from .margins import Readings as Readings
 from .margins import SmallGainStatus as SmallGainStatus
 from .margins import delay_margin as delay_margin
 from .margins import frequency_response as frequency_response

@@ -72,6 +72,10 @@ class LineStatus(Status):
         "3,072 bits do not tell all crossings of the circle, or the counts between them, or the "
         "leading coefficient vanishes all along the line: the loop is algebraic",
     )
+    USABLE = (
+        3,
+        "usable intervals, each proved from end to end; that there are no others is searched",
+    )
 
 
 class End(NamedTuple):

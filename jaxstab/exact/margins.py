@@ -54,7 +54,7 @@ damping delta where, in the notation of ``paper.rules``,
 for all angles. R and |H|^2 are cosine sums, so the left side is one.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import cache, partial, reduce
 from heapq import heappop, heappush
 from math import floor, inf, nan, nextafter, pi, ulp
@@ -93,8 +93,8 @@ class Readings(NamedTuple):
     phase: Reading
     delay: Reading
     sensitivity: Reading
-    complementary: Reading = Reading()
-    disk: Reading = Reading()
+    complementary: Reading
+    disk: Reading
 
 
 _OF_NOTHING = Readings(
@@ -103,11 +103,13 @@ _OF_NOTHING = Readings(
 )
 
 
-def readings(parts: Callable[[], tuple[Factored, Factored]], *, in_full: bool = True) -> Readings:
-    """The margins and peaks of a loop that is stable, from D and N in balls.
+_PEAKS = {"sensitivity": (1, 0), "complementary": (0, 1), "disk": (1, -1)}
 
-    Not ``in_full`` they are phase, delay and the peak of S, which take a third of the time.
-    """
+
+def readings(
+    parts: Callable[[], tuple[Factored, Factored]], *, asked: Collection[str] = Readings._fields
+) -> Readings:
+    """The margins and peaks of a loop that is stable, from D and N in balls; those asked for."""
 
     def opened() -> tuple[Factored, Factored]:
         below, above = parts()
@@ -117,12 +119,15 @@ def readings(parts: Callable[[], tuple[Factored, Factored]], *, in_full: bool = 
     with working_precision(FIRST_BITS):
         if parts()[1].is_zero:
             return _OF_NOTHING
-    ends = (in_full and stable_pencil(opened).holding(1.0)) or [Reading()] * 2
-    phase, delay = decided(lambda: _crossovers(*opened())) or [Reading()] * 2
-    kinds = ((1, 0), (0, 1), (1, -1)) if in_full else ((1, 0),)
-    peaks = [decided(partial(_peak, opened, *kind)) or Reading() for kind in kinds]
-    least, largest = (Reading(*end[:3]) for end in ends)
-    return Readings(least, largest, phase, delay, *peaks)
+    none = [Reading()] * 2
+    has_gain, has_phase = ("largest_gain" in asked or "least_gain" in asked), "phase" in asked
+    ends = (has_gain and stable_pencil(opened).holding(1.0)) or none
+    lags = ((has_phase or "delay" in asked) and decided(lambda: _crossovers(*opened()))) or none
+    peaks = [
+        (name in asked and decided(partial(_peak, opened, *kind))) or Reading()
+        for name, kind in _PEAKS.items()
+    ]
+    return Readings(*(Reading(*end[:3]) for end in ends), *lags, *peaks)
 
 
 def frequency_response(

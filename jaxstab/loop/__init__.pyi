@@ -25,5 +25,7 @@ from .region import Tuned as Tuned
 from .tune import CommonWall as CommonWall
 from .tune import minimize_settling as minimize_settling
 from .tune import tune_for_all as tune_for_all
+from .usable import UsableLimit as UsableLimit
+from .usable import UsableLimits as UsableLimits
 
 __all__: list[str]

@@ -5,8 +5,9 @@ Each asks what the loop is (``loop.gains``) of the modules that know: its region
 """
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from jaxtyping import Float64
@@ -16,12 +17,15 @@ from jaxstab.arrays import Numbers
 from jaxstab.loop.gains import TwoGains
 from jaxstab.loop.margins import FrequencyMargins, Margins, loop_margins, wall_frequency_margins
 from jaxstab.loop.region import TOLERANCE, Limits, Region
+from jaxstab.loop.wanted import Wanted
 from jaxstab.model.balls import Triple, rounded_triple
 from jaxstab.model.plant import checked_gain, wall_grid
 from jaxstab.numbers import checked_number, checked_word
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from jaxstab.loop.usable import UsableLimits
 
 
 class Answers(TwoGains):
@@ -31,13 +35,24 @@ class Answers(TwoGains):
     def region(self, *, tolerance: float = TOLERANCE) -> Region:
         """The set of all stable gains."""
 
-    def limits(self) -> Limits[float]:
+    @overload
+    def limits(self) -> Limits[float]: ...
+
+    @overload
+    def limits(self, **margins: Any) -> "UsableLimits": ...
+
+    def limits(self, **margins: Any) -> "Limits[float] | UsableLimits":
         """The largest stable value of each gain, or the least, as of an admittance.
 
         They are read off the region: it is not proved that no stable gains were missed beyond.
         Printed, largest values are rounded down and least ones up, and each pair is stable.
 
-        Raises: as ``region``.
+        Args:
+            **margins: those of ``is_usable``; the limits are then the largest gains with these
+                margins that a search finds, and each pair is proved to have them.
+
+        Raises: as ``region``; ValueError for margins as of ``is_usable``, and where gains move the
+        leading coefficient of p(z).
 
         Example:
             >>> jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4).limits()
@@ -46,7 +61,7 @@ class Answers(TwoGains):
               least    damping = 26.701 N s/m at mass = 0.015851 kg
               islands  none found
         """
-        return self.region().limits()
+        return self._usable_limits(margins) if margins else self.region().limits()
 
     def boundary(self, *, tolerance: float = 1e-6) -> Float64[np.ndarray, "point 2"]:
         """The outline of the stable gains, loop after loop, each of them closed.
@@ -106,6 +121,62 @@ class Answers(TwoGains):
             52.9 degrees at 20.6 Hz
         """
         return self._frequency_margins(*self._named(wall, gains).values())
+
+    def is_usable(
+        self,
+        *wall: float,
+        phase_margin: int | float | None = None,
+        gain_margin: int | float | tuple[float, float] | None = None,
+        sensitivity: int | float | None = None,
+        delay_margin: int | float | None = None,
+        **gains: float,
+    ) -> bool | None:
+        """Whether a pair of gains is stable with margins: proved; None where it is not told.
+
+        Args:
+            *wall: that wall, K in N/m and B in N s/m.
+            phase_margin: in degrees, above 0 and below 180: the loop stays stable with any lag or
+                lead up to it.
+            gain_margin: a factor above 1 by which the open loop may be multiplied; a pair such as
+                (1/2, 2) for the least and the largest factor.
+            sensitivity: the largest peak of |S|, above 1; 2 gives a gain margin of 2 and a phase
+                margin of 29 degrees as well.
+            delay_margin: by how much the delay may grow, in s.
+            **gains: both gains of the pair, by their names.
+
+        Raises: TypeError for a missing gain, ValueError for margins that make no sense, or if none
+        is given.
+
+        Source: the criterion of Nyquist; lemma E5 of docs/proofs.md.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.is_usable(1000.0, 10.0, phase_margin=50)
+            True
+            >>> loop.is_usable(1000.0, 10.0, phase_margin=50, sensitivity=1.1)
+            False
+        """
+        from jaxstab.loop.usable import judgement
+
+        first, second = (
+            checked_number(name, checked_gain(name, x))
+            for name, x in self._named(wall, gains).items()
+        )
+        wanted = Wanted.checked(phase_margin, gain_margin, sensitivity, delay_margin)
+        if not wanted.texts:
+            raise ValueError(
+                "no margin is given; give phase_margin, gain_margin, sensitivity or delay_margin, "
+                "or ask verdict."
+            )
+        return judgement(self, (first, second), wanted).is_usable
+
+    def _usable_limits(self, margins: Mapping[str, Any]) -> "UsableLimits":
+        from jaxstab.loop.usable import usable_limits
+
+        if unknown := [name for name in margins if name not in Wanted._fields]:
+            names = ", ".join(Wanted._fields)
+            raise TypeError(f"limits takes no {unknown[0]}; give {names}.")
+        return usable_limits(self, Wanted.checked(**margins))
 
     def plot(
         self,

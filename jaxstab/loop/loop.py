@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from jaxstab.loop.backwards import StableValues
     from jaxstab.loop.hands import WorstHand
     from jaxstab.loop.jitter import MovingLimits, MovingLoop, WorstDelays
+    from jaxstab.loop.usable import UsableLimits
 
 
 @pytree
@@ -148,15 +149,18 @@ class HapticLoop(LoopParameters, Answers):
         tolerance = checked_number("tolerance", tolerance, 1e-10, is_open=True)
         return region_of_loop(self.in_floats(), tolerance)
 
-    @overload
+    @overload  # type: ignore[override]  # delays are no margins
     def limits(self) -> Limits[float]: ...
 
     @overload
     def limits(self, *, delays: Range, lost: int = 0) -> "MovingLimits": ...
 
+    @overload
+    def limits(self, **margins: Any) -> "UsableLimits": ...
+
     def limits(
-        self, *, delays: Range | None = None, lost: int = 0
-    ) -> "Limits[float] | MovingLimits":
+        self, *, delays: Range | None = None, lost: int = 0, **margins: Any
+    ) -> "Limits[float] | MovingLimits | UsableLimits":
         """The largest stiffness and the largest damping that the loop allows, of walls K, B >= 0.
 
         They hold for the stable component that contains small gains; the limits of islands, which
@@ -167,10 +171,12 @@ class HapticLoop(LoopParameters, Answers):
             delays: as for ``verdict``; the answer is then the stiffest wall, of those that a
                 search tries, that is proved for every sequence of these delays.
             lost: as for ``verdict``.
+            **margins: those of ``is_usable``, without ``delays``; the limits are then the largest
+                gains with these margins that a search finds, and each pair is proved to have them.
 
-        Raises: as ``region`` and ``verdict``.
+        Raises: as ``region`` and ``verdict``; ValueError for margins as of ``is_usable``.
 
-        Source: lemma J1 of docs/proofs.md for delays that move.
+        Source: lemma J1 of docs/proofs.md for delays that move; E5 for margins.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -178,7 +184,15 @@ class HapticLoop(LoopParameters, Answers):
             202.009
             >>> loop.limits(delays=(0.0, 0.2e-3)).stiffness < loop.limits().stiffness
             True
+            >>> loop.limits(phase_margin=30)
+            UsableLimits: a phase margin of 30 degrees
+              largest stiffness = ... N/m at damping = ... N s/m
+              largest damping = ... N s/m at stiffness = ... N/m
         """
+        if margins and (delays is not None or lost):
+            raise ValueError("margins are given beside delays that move; give one of them.")
+        if margins:
+            return self._usable_limits(margins)
         if delays is not None or lost:
             return self._moving(delays, lost).limits()
         if is_any_traced(self):

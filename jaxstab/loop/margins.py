@@ -28,6 +28,7 @@ from jaxstab.exact import (
     DelayMargin,
     DelayStatus,
     Reading,
+    Readings,
     TripleAt,
     delay_margin,
     readings,
@@ -486,9 +487,10 @@ def wall_frequency_margins(
     pairs = wall_grid(**dict(zip(names, (first, second), strict=True)))
     codes = np.asarray(loop.verdict(**dict(zip(names, np.moveaxis(pairs, -1, 0), strict=True))))
     held = loop._held if in_full else None
+    asked = Readings._fields if in_full else ("phase", "sensitivity")
     found = np.full((7, 3, codes.size), nan)
     for k, pair in stable_pairs(codes, pairs):
-        own = readings(partial(loop._opened, *pair), in_full=in_full)
+        own = readings(partial(loop._opened, *pair), asked=asked)
         found[..., k] = own._replace(delay=delay_reading(held, *pair)) if held else own
     units = np.array([1.0, 1.0, degrees(1.0), loop.sample_time, 1.0, 1.0, 1.0])[:, None]
     values, errors, angles = np.moveaxis(found, 1, 0)

@@ -1,0 +1,248 @@
+"""Usable gains: those with a margin of phase, gain or delay, or a bound on the peak of |S|.
+
+A pair of gains is judged by its proved margins (lemma E5), a row of one gain by the proof of whole
+intervals (E7, ``exact.usable``). The largest gain with the margins is searched: the uppermost
+usable gain of some rows, then Brent's search between the best of them. The pair that is found is
+proved, in the digits that are printed; that none is larger is not.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from math import inf, isfinite, nan
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxstab.conventions import Verdict
+from jaxstab.exact.line import LineStatus, StableLine
+from jaxstab.exact.margins import Reading
+from jaxstab.exact.usable import Judgement, Row, Search, judged
+from jaxstab.loop.margins import delay_reading
+from jaxstab.loop.wanted import Wanted
+from jaxstab.model.device.parts import remembered
+from jaxstab.model.gain import Gain
+from jaxstab.shown import number_text, stable_pair
+
+
+class UsableLimit(NamedTuple):
+    """The largest value found of a gain, and the other gain there; NaN if none is usable.
+
+    Example:
+        >>> jaxstab.simulated_pd(0.1, step=2e-3, substeps=4).limits(sensitivity=1.5).first.gain.name
+        'kp'
+    """
+
+    gain: Gain
+    value: float
+    at: float
+
+
+class UsableLimits(NamedTuple):
+    """The largest usable value of each gain, as far as a search finds it.
+
+    Each pair is proved to have the margins with the digits that are printed. That no usable pair
+    has a larger gain is searched, not proved. Gains are >= 0.
+
+    Example:
+        >>> jaxstab.simulated_pd(0.1, step=2e-3, substeps=4).limits(sensitivity=1.5)
+        UsableLimits: a peak of |S| of 1.5 at most
+          largest kp = 383.099 N m/rad at kd = 7.63745 N m s/rad
+          largest kd = 8.3333... N m s/rad at kp = ...
+    """
+
+    first: UsableLimit
+    second: UsableLimit
+    wanted: str
+
+    def __repr__(self) -> str:
+        if not isfinite(self.first.value) and not isfinite(self.second.value):
+            return f"UsableLimits: no gains with {self.wanted} were found"
+        lines = [f"UsableLimits: {self.wanted}"]
+        for own, other in ((self.first, self.second), (self.second, self.first)):
+            value = number_text(own.value, 6, unit=own.gain.unit)
+            at = number_text(own.at, 6, unit=other.gain.unit)
+            lines.append(f"  largest {own.gain.name} = {value} at {other.gain.name} = {at}")
+        return "\n".join(lines)
+
+
+def judgement(loop: Any, pair: tuple[float, float], wanted: Wanted) -> Judgement:
+    """The judgement on a pair of gains: one that is not proved stable has no margins."""
+    verdict = loop._verdict(*pair)
+    if verdict != Verdict.STABLE:
+        return Judgement(False if verdict == Verdict.UNSTABLE else None, {})
+    delay = partial(delay_reading, loop._held, *pair) if loop._held else None
+    return judged(partial(loop._opened, *pair), wanted.wish(loop.sample_time), delay)
+
+
+def usable_line(
+    loop: Any, start: tuple[float, float], along: tuple[float, float], wanted: Wanted
+) -> StableLine:
+    """The usable gains start + t along, with the crossings of the stable ones."""
+    if wanted.delay_margin is not None:
+        raise ValueError(
+            f"delay_margin is {wanted.delay_margin:g}, which is not proved for whole intervals; "
+            "ask limits, or is_usable for one pair."
+        )
+    line = loop._line(start, along)
+    found = _search(loop, start, along, wanted).intervals(line)
+    is_known = line.status == LineStatus.PROVED
+    return line._replace(
+        intervals=tuple(found), status=LineStatus.USABLE if is_known else line.status
+    )
+
+
+def _search(
+    loop: Any,
+    start: tuple[float, float],
+    along: tuple[float, float],
+    wanted: Wanted,
+    angles: Any = None,
+) -> Search:
+    if loop._only_few:
+        names = " and ".join(gain.name for gain in loop.gains)
+        raise ValueError(
+            f"{names} move the leading coefficient of p(z), so that the open loop is not affine in "
+            "them; margins of whole rows and limits with margins are not available, ask is_usable "
+            "for one pair."
+        )
+
+    @remembered()
+    def row() -> Row:
+        (below, given), (_, first), (_, step) = (
+            loop._opened(*own) for own in ((0.0, 0.0), start, along)
+        )
+        return Row(below, first, step if given.is_zero else step.plus(given.scaled(-1)))
+
+    def delay(t: float) -> Reading:
+        return delay_reading(loop._held, *_pair(start, along, t))
+
+    wish = wanted.wish(loop.sample_time)
+    return Search(row, wish, delay if loop._held else None, angles)
+
+
+def _pair(start: tuple[float, float], along: tuple[float, float], t: float) -> tuple[float, float]:
+    return start[0] + t * along[0], start[1] + t * along[1]
+
+
+# -------------------------------------------------------------------------------------- the largest
+_ROWS = 9  # on a scale of numbers, and fewer on one of logarithms
+_PEAKS = 2  # that are searched
+
+
+def usable_limits(loop: Any, wanted: Wanted) -> UsableLimits:
+    """The largest usable gains of the component that holds small gains, or of all."""
+    region = loop.region()
+    main = region.main or region
+    if not main.components:
+        limits = [UsableLimit(gain, nan, nan) for gain in loop.gains]
+        return UsableLimits(limits[0], limits[1], wanted.words)
+    first, second = (_Tops(loop, axis, main, wanted) for axis in (0, 1))
+    found = first.largest()
+    places = [found.value * 10.0**-k for k in range(3)] if isfinite(found.value) else []
+    return UsableLimits(found, second.largest(places), wanted.words)
+
+
+class _Tops:
+    """The uppermost gains of an axis that seem usable, over the other gain."""
+
+    def __init__(self, loop: Any, axis: int, main: Any, wanted: Wanted) -> None:
+        self.loop, self.axis, self.main, self.wanted = loop, axis, main, wanted
+        self.is_sure = False
+        self.most = float(np.max(main.outline[:, 1 - axis]))
+        self.angles = _search(loop, *self.line(0.5 * self.most), wanted).scan.theta
+
+    def line(self, at: float) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Where a row starts, and along which gain it goes."""
+        return ((0.0, at), (1.0, 0.0)) if self.axis == 0 else ((at, 0.0), (0.0, 1.0))
+
+    def __call__(self, at: float) -> float:
+        """The uppermost gain >= 0 of a row; -inf if there is none."""
+        start, along = self.line(at)
+        line, search = self.loop._line(start, along), None
+        for low, high in reversed(line.intervals if not line.drift else ()):
+            least = max(low.value, 0.0)
+            if not least < high.value < inf or not self.holds(0.5 * (least + high.value), at):
+                continue
+            search = search or _search(self.loop, start, along, self.wanted, self.angles)
+            place = search.walked(high, -1, least, is_sure=self.is_sure)
+            if place:
+                return place.inner
+        return -inf
+
+    def holds(self, value: float, at: float) -> bool:
+        """True if the component holds a pair."""
+        pair = zip((gain.name for gain in self.loop.gains), self.pair(value, at), strict=True)
+        return bool(self.main.contains(**dict(pair)))
+
+    def pair(self, value: float, at: float) -> tuple[float, float]:
+        """Both gains, in the order of the loop."""
+        return (value, at) if self.axis == 0 else (at, value)
+
+    def largest(self, places: Sequence[float] = ()) -> UsableLimit:
+        """The largest gain that is found, and proved; some places of the other one are tried."""
+        gain, most = self.loop.gains[self.axis], self.most
+        tried = np.r_[np.geomspace(1e-3 * most, 0.1 * most, 4), np.linspace(0.0, most, _ROWS)]
+        tried = np.r_[places, tried]
+        for self.is_sure in (False, True):  # E5 is asked in every row where the scan misses angles
+            value, at = _best(self, np.unique(tried).tolist())
+            for back in (0.0, 1e-9, 1e-8, 1e-7) if isfinite(value) else ():
+                pair = value * (1.0 - back), at
+                if self._is_usable(*pair):
+                    return UsableLimit(gain, *stable_pair(*pair, (6, 6), self._is_usable))
+        return UsableLimit(gain, nan, nan)
+
+    def _is_usable(self, value: float, at: float) -> bool:
+        return bool(judgement(self.loop, self.pair(value, at), self.wanted).is_usable)
+
+
+def _best(top: Callable[[float], float], places: list[float]) -> tuple[float, float]:
+    """The largest value of a function, from the best of some places on, and where it is."""
+    values = [top(place) for place in places]
+    last = len(places) - 1
+    peaks = [
+        k
+        for k in sorted(range(last + 1), key=lambda k: -values[k])
+        if isfinite(values[k]) and values[k] >= max(values[max(k - 1, 0)], values[min(k + 1, last)])
+    ]
+    found = [(-inf, 0.0)]
+    for k in peaks[:_PEAKS]:
+        if values[k] > 0.5 * values[peaks[0]]:
+            ends = places[max(k - 1, 0)], places[min(k + 1, last)]
+            found.append(_climbed(top, ends, places[k], values[k]))
+    return max(found)
+
+
+def _climbed(
+    top: Callable[[float], float], ends: tuple[float, float], x: float, value: float
+) -> tuple[float, float]:
+    """Brent's search for a maximum between two places, from one between them on."""
+    most, share, close = 60, 0.3819660112501051, 1e-8
+    a, c = ends
+    short = 1e-6 * (c - a)
+    w, v, at_w, at_v = x, x, value, value
+    step = before = 0.0
+    for _ in range(most):
+        middle, least = 0.5 * (a + c), close * abs(x) + short
+        if abs(x - middle) <= 2.0 * least - 0.5 * (c - a):
+            break
+        r, q = (x - w) * (value - at_v), (x - v) * (value - at_w)
+        p, q = (x - v) * q - (x - w) * r, 2.0 * (q - r)
+        p, q = (-p, q) if q > 0.0 else (p, -q)
+        is_parabola = abs(p) < abs(0.5 * q * before) and q * (a - x) < p < q * (c - x)
+        if is_parabola:
+            before, step = step, p / q
+        else:
+            before = (a if x >= middle else c) - x
+            step = share * before
+        u = x + (step if abs(step) >= least else least if step > 0.0 else -least)
+        at_u = top(u)
+        if at_u >= value:
+            a, c = (x, c) if u >= x else (a, x)
+            v, at_v, w, at_w, x, value = w, at_w, x, value, u, at_u
+        else:
+            a, c = (u, c) if u < x else (a, u)
+            if at_u >= at_w or w == x:
+                v, at_v, w, at_w = w, at_w, u, at_u
+            elif at_u >= at_v or v in (x, w):
+                v, at_v = u, at_u
+    return value, x
