@@ -225,6 +225,7 @@ def test_a_delay_margin_is_that_of_the_device_between_samples() -> None:
     assert not later.verdict(pair[0] * 1.001, pair[1])
 
 
+@pytest.mark.campaign
 def test_every_kind_of_loop_has_limits_with_margins() -> None:
     joint = jaxstab.simulated_pd(0.1, step=2e-3, substeps=4)
     assert joint.limits(sensitivity=1.5).first.value == pytest.approx(383.0992350, rel=1e-8)
