@@ -54,6 +54,7 @@ from jaxstab.model.loop import unit_loop
 from jaxstab.model.plant import bounded_delay, may_cancel, pairs_error, whole_and_fraction
 from jaxstab.numbers import require_together
 from jaxstab.point.poles import looked_up
+from jaxstab.point.rows import row_codes
 from jaxstab.point.schur_cohn import (
     UNDERFLOW,
     Chain,
@@ -374,7 +375,14 @@ def verdict(
         # The plant of what JAX does not have is NumPy's: it takes longest to compile.
         form = Form.from_delay(delay)
         plant = float_plant(*point[2:], fraction, is_fractional=form.is_fractional)
-        codes = _float_codes((*point[:3], plant), form)
+
+        def codes_of(*gains: Numbers) -> Array:
+            return _float_codes((*gains, point[2], plant), form)
+
+        codes = row_codes((*point, delay), codes_of) if xp is np else None
+        if codes is not None:
+            return codes
+        codes = codes_of(*point[:2])
         shape = np.broadcast_shapes(whole.shape, *map(np.shape, point))
         return named(xp.array(xp.broadcast_to(codes, shape)), Verdict)
     if is_any_traced(point, delay, filters):
