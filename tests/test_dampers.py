@@ -10,7 +10,6 @@ from scipy.signal import butter, cont2discrete
 
 from jaxstab import Device, Filter, HapticLoop, Mode, Velocity
 from jaxstab.conventions import Verdict
-from jaxstab.loop import Gains
 from jaxstab.scene import Scene, check_walls
 from jaxstab.scene.loops import BUT_FOR_DRIFT, verdict_with_drift
 
@@ -59,7 +58,7 @@ def test_a_damper_is_stable_if_all_poles_but_that_of_the_position_are(name: str)
     assert low < 0.0 < high
     for share in (0.01, 0.5, 1.0 - 1e-6, 1.0 + 1e-6, 1.5):
         radius = np.abs(roots_beside_1(name, share * high)).max()
-        code = verdict_with_drift(loop, Gains(0.0, share * high))
+        code = verdict_with_drift(loop, 0.0, share * high)
         assert code == (BUT_FOR_DRIFT if share < 1.0 else Verdict.UNSTABLE)
         assert (radius < 1.0) == (share < 1.0)
     assert loop.verdict(0.0, 0.5 * high) != Verdict.STABLE  # with the position it is not
@@ -67,18 +66,18 @@ def test_a_damper_is_stable_if_all_poles_but_that_of_the_position_are(name: str)
 
 def test_a_damper_without_any_damping_is_decided_only_if_the_device_slows_down() -> None:
     still = HapticLoop(**DEVICE | {"device_damping": 0.0})
-    assert verdict_with_drift(HapticLoop(**DEVICE), Gains(0.0, 0.0)) == BUT_FOR_DRIFT
-    assert verdict_with_drift(still, Gains(0.0, 0.0)) == Verdict.UNSTABLE  # it moves for ever
-    assert verdict_with_drift(still, Gains(0.0, 1.0)) == BUT_FOR_DRIFT
+    assert verdict_with_drift(HapticLoop(**DEVICE), 0.0, 0.0) == BUT_FOR_DRIFT
+    assert verdict_with_drift(still, 0.0, 0.0) == Verdict.UNSTABLE  # it moves for ever
+    assert verdict_with_drift(still, 0.0, 1.0) == BUT_FOR_DRIFT
 
 
 def test_springs_and_held_devices_have_the_ordinary_verdict() -> None:
     held = HapticLoop(**DEVICE, hand_stiffness=1e-9)
-    assert verdict_with_drift(held, Gains(0.0, 4.0)) is None
-    assert verdict_with_drift(HapticLoop(**DEVICE), Gains(1e-9, 4.0)) is None
+    assert verdict_with_drift(held, 0.0, 4.0) is None
+    assert verdict_with_drift(HapticLoop(**DEVICE), 1e-9, 4.0) is None
     mode = Device.modes([Mode(frequency=80.0, damping_ratio=0.05, modal_mass=0.2)], mass=0.3)
     loop = HapticLoop(device=mode, sample_time=T)
-    assert verdict_with_drift(loop, Gains(0.0, 4.0)) == BUT_FOR_DRIFT
+    assert verdict_with_drift(loop, 0.0, 4.0) == BUT_FOR_DRIFT
 
 
 def test_values_for_a_damper_are_those_for_all_other_poles_and_say_so() -> None:

@@ -66,7 +66,7 @@ ELSEWHERE = {
     "paper.linear_validity": "test_criteria", "paper.passive_region": "test_criteria",
     "stable_region": "test_region",
     "robust_region": "test_robust", "trace_boundary": "test_trace",
-    "amplitude": "test_amplitude",
+    "amplitude": "test_amplitude", "contact": "test_contact",
     "tune_for_all": "test_tuning_ranges", "limits_of": "test_batch", "regions_of": "test_batch",
 }  # fmt: skip
 
