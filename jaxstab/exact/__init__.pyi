@@ -21,5 +21,6 @@ from .roots import poles as poles
 from .roots import rough_radius as rough_radius
 from .roots import spectral_radius as spectral_radius
 from .roots import wall_verdict as wall_verdict
+from .rows import row_codes as row_codes
 
 __all__: list[str]

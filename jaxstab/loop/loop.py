@@ -817,7 +817,7 @@ class HapticLoop(LoopParameters, Answers):
         if first != 0.0:
             return None
         with working_precision(FIRST_BITS):
-            drifts = self._triple().at(0.0, second).at_one == 1
+            drifts = self._triple().at(0.0, second).at_one > 0
         return wall_verdict(self._triple, 0.0, second, may_drift=True).verdict if drifts else None
 
     @property

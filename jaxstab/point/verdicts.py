@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Int8, Int64
 
+from jaxstab import exact
 from jaxstab.arrays import (
     Array,
     Numbers,
@@ -54,7 +55,6 @@ from jaxstab.model.loop import unit_loop
 from jaxstab.model.plant import bounded_delay, may_cancel, pairs_error, whole_and_fraction
 from jaxstab.numbers import require_together
 from jaxstab.point.poles import looked_up
-from jaxstab.point.rows import row_codes
 from jaxstab.point.schur_cohn import (
     UNDERFLOW,
     Chain,
@@ -310,6 +310,7 @@ def _sum_error(alpha: Array, gamma: Array) -> Array | float:
 # The verdict of the five numbers: points of a grid go to the kernels by their delays.
 
 _LIST = 1 << 16  # points of one list that is gathered from a grid
+_IN_ROWS = 1 << 21  # points of a dense slice from which on rows pay
 
 
 def verdict(
@@ -379,7 +380,8 @@ def verdict(
         def codes_of(*gains: Numbers) -> Array:
             return _float_codes((*gains, point[2], plant), form)
 
-        codes = row_codes((*point, delay), codes_of) if xp is np else None
+        is_dense = xp is np and np.size(point[0]) * np.size(point[1]) >= _IN_ROWS
+        codes = exact.row_codes((*point, delay), codes_of) if is_dense else None
         if codes is not None:
             return codes
         codes = codes_of(*point[:2])

@@ -34,7 +34,6 @@ from jaxstab.model.device.parts import decided
 from jaxstab.model.loop import unit_loop
 from jaxstab.rounding import SAFETY, UNIT
 
-_PAYS_FROM = 1 << 21  # points
 _SHARE = 8  # one point of so many may be asked
 _SHARP = 2.0**-60  # the radii of places, and of the coefficients of a sum relative to these
 
@@ -71,7 +70,7 @@ def row_codes(
     is_slice = alpha.shape == (alpha.size, 1) and beta.shape in ((width,), (1, width))
     is_slice = is_slice and all(value.size == 1 and value.ndim < 3 for value in plant)
     alpha, beta = alpha.ravel(), beta.ravel()
-    if not is_slice or size < _PAYS_FROM or np.any(beta[1:] < beta[:-1]):
+    if not is_slice or np.any(beta[1:] < beta[:-1]):
         return None
     gamma, delta, delay = (value.item() for value in plant)
     loop = unit_loop(gamma, delta, delay, None, None)
