@@ -13,7 +13,7 @@ import numpy as np
 from click.testing import CliRunner
 
 import jaxstab
-from jaxstab.cli.main import main
+from jaxstab.app.cli.main import main
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 

@@ -18,11 +18,11 @@ import jaxstab
 from benchmarks.grids import LoopFamily, Outline, bisected, contour, eigenvalue_grid
 from benchmarks.record import Row
 from benchmarks.timing import Timing, interleaved
-from benchmarks.truth import loop as truth
-from benchmarks.truth.balls import ExactPlant
-from benchmarks.truth.boundary import Boundary
 from jaxstab.region import stable_region
 from jaxstab.trace import trace_boundary
+from tests.truth import loop as truth
+from tests.truth.balls import ExactPlant
+from tests.truth.boundary import Boundary
 
 GAMMA, DELTA = 1e-3, 0.015
 MEASURE = "largest distance of found points from the exact boundary, relative to the region"

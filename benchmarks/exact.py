@@ -21,15 +21,15 @@ import numpy as np
 
 from benchmarks import record
 from benchmarks.record import Row
-from benchmarks.truth.plain import Loop, stiffest_walls
-from benchmarks.truth.plain import radius as true_radius
-from benchmarks.truth.random_loops import DeviceLoop, MassLoop, hostile_walls, long_window
 from jaxstab import Device, HapticLoop, Velocity
 from jaxstab.conventions import Verdict
 from jaxstab.exact.line import LineStatus, StableLine, stable_line
 from jaxstab.exact.roots import spectral_radius, wall_verdict
 from jaxstab.model.balls import ball_triple
 from jaxstab.region.stable_set import RegionStatus
+from tests.truth.plain import Loop, stiffest_walls
+from tests.truth.plain import radius as true_radius
+from tests.truth.random_loops import DeviceLoop, MassLoop, hostile_walls, long_window
 
 _LOOPS, _SMALL = 2000, 10
 _WALLS = 10  # of a loop

@@ -3,9 +3,9 @@
 import flint
 import numpy as np
 
-from benchmarks.truth.balls import ExactPlant, split_delay
-from benchmarks.truth.boundary import Boundary
-from benchmarks.truth.judge import Loops
+from tests.truth.balls import ExactPlant, split_delay
+from tests.truth.boundary import Boundary
+from tests.truth.judge import Loops
 
 _MOST = (1e150, 1e4, 1e3)  # a gain, gamma and delta
 

@@ -1,7 +1,7 @@
 """Delays that move: proofs under attack, and the share of the stiffness that is proved.
 
 Random loops and walls. A wall that is STABLE for a range of delays is attacked by an independent
-simulation (``benchmarks.truth.moving``): random and periodic sequences, of which those that decay
+simulation (``tests.truth.moving``): random and periodic sequences, of which those that decay
 most slowly are changed again and again; none may grow. A wall that is UNSTABLE is replayed there
 with the delays that were found, as far as these are whole parts of a sample; all must grow. With a
 range of one delay the verdicts are those of the constant delay.
@@ -23,10 +23,10 @@ from matplotlib.figure import Figure
 import jaxstab
 from benchmarks import record
 from benchmarks.table import DAMPINGS, moving_delays
-from benchmarks.truth.moving import LOST, Moving, growth
 from jaxstab import HapticLoop, Velocity, Verdict
+from jaxstab.app.pictures.style import DAMPING_LABEL, STIFFNESS_LABEL, plot_moving
 from jaxstab.loop.jitter import MovingLoop
-from jaxstab.pictures.style import DAMPING_LABEL, STIFFNESS_LABEL, plot_moving
+from tests.truth.moving import LOST, Moving, growth
 
 PICTURE = Path(__file__).resolve().parents[1] / "docs" / "moving_delays.png"
 _PARTS = 8  # of a sample: delays are whole numbers of them

@@ -24,7 +24,7 @@ from mpmath import mp, mpf
 from benchmarks import record
 from benchmarks.eigenvalues import ALPHA, BETA, DELAY, DELTA, GAMMA, MASS, SAMPLE_TIME
 from benchmarks.record import Row
-from benchmarks.truth import loop as truth
+from tests.truth import loop as truth
 
 ROOT = Path(__file__).parents[1]
 MEASURE = "error of what the process prints; of commands the share that failed"

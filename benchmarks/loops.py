@@ -1,6 +1,6 @@
 """Random loops with estimators and filters against balls of python-flint: walls, radii, regions.
 
-Loops are ordinary and hostile ones (``benchmarks/truth/random_loops.py``), of one mass and of
+Loops are ordinary and hostile ones (``tests/truth/random_loops.py``), of one mass and of
 devices with modes, grips and motors, at delays of 0 to 30 samples; some have modes that walls
 hardly move, some windows of 42 to 200 samples. Half of the walls lie within 1e-6 of the boundary. A
 radius is ``wrong`` where the circle that its bound makes larger does not hold all roots, or the one
@@ -26,11 +26,11 @@ import numpy as np
 
 from benchmarks import record
 from benchmarks.record import Row
-from benchmarks.truth.balls import BallLoop
-from benchmarks.truth.boundary import Boundary
-from benchmarks.truth.random_loops import DeviceLoop, MassLoop, hostile_walls, long_window
 from jaxstab.conventions import Verdict
 from jaxstab.region import RegionStatus, StableRegion
+from tests.truth.balls import BallLoop
+from tests.truth.boundary import Boundary
+from tests.truth.random_loops import DeviceLoop, MassLoop, hostile_walls, long_window
 
 LOOPS = 10_000
 _PROGRESS = 500  # loops after which the record is written

@@ -23,9 +23,9 @@ import jaxstab
 from benchmarks.grids import LoopFamily
 from benchmarks.record import Row
 from benchmarks.timing import interleaved
-from benchmarks.truth.filtered import FilteredLoop, Rational, average, difference, low_pass, times
-from benchmarks.truth.loop import as_mpf
 from jaxstab import Velocity, Verdict
+from tests.truth.filtered import FilteredLoop, Rational, average, difference, low_pass, times
+from tests.truth.loop import as_mpf
 
 GAMMA, DELTA = 1e-3, 0.015
 _CUTOFF = 0.05  # of the sampling rate

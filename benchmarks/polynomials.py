@@ -21,7 +21,7 @@ import jaxstab
 from benchmarks import eigenvalues
 from benchmarks.record import Row
 from benchmarks.timing import interleaved
-from benchmarks.truth.balls import largest_modulus
+from tests.truth.balls import largest_modulus
 
 DEGREES = 3, 5, 10, 20, 40, 60
 _MANY, _SOME = 1 << 14, 1 << 8  # polynomials of a call: of is_schur, and of slower rivals

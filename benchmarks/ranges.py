@@ -1,6 +1,6 @@
 """Margins and ranges of hands, at random and hostile loops, against certified roots and balls.
 
-Margins are those of the loops of ``benchmarks.truth.random_loops``: one mass with windows, low
+Margins are those of the loops of ``tests.truth.random_loops``: one mass with windows, low
 passes, Butterworth filters, exponential smoothing, transfer functions and chains of them, or with a
 difference over one sample; devices with modes, grips and motors; delays of 0 to 30 samples with
 fractions. Walls lie in all components of the stable set, islands too, half of them next to the
@@ -21,9 +21,6 @@ import numpy as np
 
 from benchmarks import eigenvalues, record
 from benchmarks.record import Row
-from benchmarks.truth import loop as truth
-from benchmarks.truth.filtered import average, difference
-from benchmarks.truth.random_loops import DeviceLoop, Filters, MassLoop
 from jaxstab import Filter, Velocity
 from jaxstab.boxes import HandRange, RobustLimit
 from jaxstab.conventions import Verdict
@@ -32,6 +29,9 @@ from jaxstab.loop.margins import WAYS, crossings_of
 from jaxstab.model import by_name, characteristic_polynomial
 from jaxstab.model.loop import unit_loops
 from jaxstab.results import StableRegion
+from tests.truth import loop as truth
+from tests.truth.filtered import average, difference
+from tests.truth.random_loops import DeviceLoop, Filters, MassLoop
 
 _WALLS, _SMALL_WALLS = 400, 6
 _RANGES, _SMALL_RANGES = 400, 2

@@ -19,8 +19,8 @@ from matplotlib.path import Path as Polygon
 from benchmarks import record
 from benchmarks.loops import probes
 from benchmarks.record import Row
-from benchmarks.truth.balls import ExactPlant
 from jaxstab.region import RegionStatus, stable_region
+from tests.truth.balls import ExactPlant
 
 MEASURE = "share of points misclassified, by certified root counts"
 

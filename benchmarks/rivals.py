@@ -31,11 +31,11 @@ from benchmarks import latency
 from benchmarks.record import Row
 from benchmarks.timing import Timing, interleaved
 from benchmarks.tools import EXAMPLE, MUJOCO, TOOLS, IsStable, Joint, Line, Tool
-from benchmarks.truth import filtered, plain
-from benchmarks.truth.devices import Mechanism
-from benchmarks.truth.filtered import Rational
 from jaxstab import HapticLoop, Loop, Velocity, Verdict
 from jaxstab.atlas.nodes import table_of
+from tests.truth import filtered, plain
+from tests.truth.devices import Mechanism
+from tests.truth.filtered import Rational
 
 MEASURE = "largest relative error of the end of a stable interval, by mpmath"
 SHARES = tuple(side * 10.0**-k for k in (3, 6, 9, 12) for side in (-1, 1))

@@ -16,9 +16,9 @@ import numpy as np
 import jaxstab
 from benchmarks.record import Row
 from benchmarks.timing import interleaved
-from benchmarks.truth import loop as truth
 from jaxstab.conventions import Verdict
 from jaxstab.region import boundary_curve
+from tests.truth import loop as truth
 
 PLACE = {"gamma": 1e-3, "delta": 0.015, "delay": 1.0}
 

@@ -29,7 +29,7 @@ import jaxstab
 from benchmarks import record
 from benchmarks.hard_loops import changed_loops, random_loops
 from benchmarks.record import Row
-from benchmarks.truth.judge import METHODS, Judgement, Loops, Truth, answers_of, judged, truth_of
+from tests.truth.judge import METHODS, Judgement, Loops, Truth, answers_of, judged, truth_of
 
 MEASURE = "largest error of a spectral radius in units of its last place"
 DEFAULT_POINTS = 100_000

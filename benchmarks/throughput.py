@@ -18,8 +18,10 @@ from benchmarks.eigenvalues import companions
 from benchmarks.grids import LoopFamily
 from benchmarks.record import Row
 from benchmarks.timing import Timing, interleaved
-from benchmarks.truth.boundary import Boundary
-from benchmarks.truth.filtered import (
+from jaxstab import Velocity
+from jaxstab.conventions import Verdict
+from tests.truth.boundary import Boundary
+from tests.truth.filtered import (
     FilteredLoop,
     Rational,
     average,
@@ -28,9 +30,7 @@ from benchmarks.truth.filtered import (
     low_pass,
     times,
 )
-from benchmarks.truth.loop import as_mpf
-from jaxstab import Velocity
-from jaxstab.conventions import Verdict
+from tests.truth.loop import as_mpf
 
 GAMMA, DELTA = 1e-3, 0.015
 BAND = "largest distance from the boundary with a wrong or no verdict, as a share of the gains"

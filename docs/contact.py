@@ -232,8 +232,8 @@ def _share(counts: Mapping[str, Any], name: str, end: str = "rests") -> str:
 
 def draw() -> None:
     """Draw where a device like the omega rests, for some frictions."""
-    from jaxstab.pictures.scene import contact_figure
-    from jaxstab.scene.contact import walls_around
+    from jaxstab.app.pictures.scene import contact_figure
+    from jaxstab.app.scene.contact import walls_around
 
     loop = HapticLoop(
         device_mass=0.25, device_damping=0.1, sample_time=_T, delay=_T,

@@ -5,8 +5,8 @@ from pathlib import Path
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
-from jaxstab.explore import explorer_page
-from jaxstab.scene import Scene
+from jaxstab.app.explore import explorer_page
+from jaxstab.app.scene import Scene
 
 
 def on_files(files: Files, *, config: MkDocsConfig) -> Files:

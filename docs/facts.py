@@ -26,16 +26,16 @@ from benchmarks.rivals import MISSED, SHARES
 from docs.pushed import Pushed
 from docs.reproduced.claims import CLAIMS
 from jaxstab import AtlasSpec, HandRange, HapticLoop, Velocity
+from jaxstab.app.explore import explorer_page
+from jaxstab.app.scene import any_scene
+from jaxstab.app.scene.scene import presets
 from jaxstab.atlas.file import SCHEMA_VERSION
 from jaxstab.atlas.table import CLEAR
 from jaxstab.boxes.search import PULLS
-from jaxstab.explore import explorer_page
 from jaxstab.loop.many import _DEGREES, _FEWEST
 from jaxstab.model.device.parts import MOST_BITS
 from jaxstab.model.filters import HIGHEST_ORDER, LONGEST_WINDOW
 from jaxstab.model.plant import LONGEST_DELAY
-from jaxstab.scene import any_scene
-from jaxstab.scene.scene import presets
 
 ROOT = Path(__file__).parents[1]
 PAGES = (

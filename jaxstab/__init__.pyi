@@ -1,5 +1,6 @@
 from . import paper as paper
 from . import results as results
+from .app.scene.study import study as study
 from .atlas import AtlasSpec as AtlasSpec
 from .atlas import FieldSpec as FieldSpec
 from .atlas import build_atlas as build_atlas
@@ -8,7 +9,14 @@ from .batches import use_compilation_cache as use_compilation_cache
 from .boxes import HandRange as HandRange
 from .boxes import robust_region as robust_region
 from .conventions import Verdict as Verdict
-from .guard import build_guard as build_guard
+from .lab.contact.runs import contact as contact
+from .lab.contact.table import contact_table as contact_table
+from .lab.guard import build_guard as build_guard
+from .lab.identify import identify as identify
+from .lab.identify import identify_servo as identify_servo
+from .lab.joints.robot import joints as joints
+from .lab.study import quantiles as quantiles
+from .lab.study import shares as shares
 from .loop import HapticLoop as HapticLoop
 from .loop import Loop as Loop
 from .loop import admittance as admittance
@@ -20,7 +28,6 @@ from .loop import pid as pid
 from .loop import regions_of as regions_of
 from .loop import simulated_pd as simulated_pd
 from .loop import tune_for_all as tune_for_all
-from .loop.contact import contact as contact
 from .model import Device as Device
 from .model import Filter as Filter
 from .model import Hand as Hand
@@ -39,13 +46,6 @@ from .point.polynomials import is_schur as is_schur
 from .point.polynomials import radius as radius
 from .region import boundary_curve as boundary_curve
 from .region import stable_region as stable_region
-from .scene.contact import contact_table as contact_table
-from .scene.identify import identify as identify
-from .scene.identify import identify_servo as identify_servo
-from .scene.joints import joints as joints
-from .scene.study import quantiles as quantiles
-from .scene.study import shares as shares
-from .scene.study import study as study
 from .trace import trace_boundary as trace_boundary
 from .tuning import minimize_radius as minimize_radius
 

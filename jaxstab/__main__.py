@@ -12,7 +12,7 @@ def main(**options: Any) -> None:
     """Run a command."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not ignored, as by nohup
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    from jaxstab.cli.main import main as run
+    from jaxstab.app.cli.main import main as run
 
     run(**options)
 

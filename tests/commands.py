@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 
-from jaxstab.cli.main import main
+from jaxstab.app.cli.main import main
 
 POINT = ["--alpha", "0.1", "--beta", "0.5", "--gamma", "0.0005", "--delta", "0.01", "--delay", "0"]
 EXAMPLE = (Path(__file__).parents[1] / "data/scenes/gains/wall.toml").read_text(encoding="utf-8")

@@ -10,8 +10,8 @@ import flint
 import numpy as np
 
 import jaxstab
-from benchmarks.truth import filtered
-from jaxstab.explore import SCRIPTS, script
+from jaxstab.app.explore import SCRIPTS, script
+from tests.truth import filtered
 
 NODE = shutil.which("node")
 ANSWERS = (Path(__file__).parent / "explorer.js").read_text(encoding="utf-8")

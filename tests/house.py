@@ -23,7 +23,8 @@ LONGEST_FILE = 1000  # lines
 FLOORS_THAT_COMPUTE = tuple(
     f"jaxstab.{floor}"
     for floor in (
-        "model", "exact", "point", "region", "boxes", "paper", "motion", "tuning", "trace", "loop"
+        "model", "exact", "point", "region", "boxes", "paper", "motion", "tuning", "trace", "loop",
+        "lab.contact.runs",
     )
 )  # fmt: skip
 MOST_NAMES = 51  # that a program finds at the top

@@ -21,10 +21,10 @@ from benchmarks import record
 from benchmarks.__main__ import BENCHMARKS
 from benchmarks.plots import DRAWINGS
 from benchmarks.ranges import PLAIN, is_limit_wrong, judged_steps, steps_to
-from benchmarks.truth.random_loops import MassLoop
 from jaxstab import HandRange, HapticLoop
 from jaxstab.loop.margins import crossings_of
 from jaxstab.model.loop import unit_loop
+from tests.truth.random_loops import MassLoop
 
 pytestmark = pytest.mark.campaign
 

@@ -383,8 +383,8 @@ def test_a_cache_is_switched_on_after_the_first_program_too(tmp_path: Path) -> N
 
 COMMAND = """
 import jax
-from jaxstab.cli import main, options
-from jaxstab.scene import scene
+from jaxstab.app.cli import main, options
+from jaxstab.app.scene import scene
 
 def computing(kind):
     options.keep_programs()

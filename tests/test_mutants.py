@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import jaxstab
-from benchmarks.truth import loop as truth
 from jaxstab.point.fields import _mode, _outwards, _rounded_up
 from jaxstab.point.radius import radius_error
 from jaxstab.point.traced_radius import _fitted
 from jaxstab.point.verdicts import is_plant_lost
 from jaxstab.region.pieces import _is_clear, all_inside
+from tests.truth import loop as truth
 
 
 def test_batched_counts_of_roots_are_those_of_numpys_roots() -> None:

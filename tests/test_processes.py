@@ -9,11 +9,11 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from problems import PROBLEMS
 
 import jaxstab
-from jaxstab.cli.options import processes
+from jaxstab.app.cli.options import processes
 from jaxstab.model import by_name
+from tests.truth.problems import PROBLEMS
 
 DELAY = 0.0  # one, for each is compiled in each process
 COUNT = 2**16 + 3  # enough for threads to share it, and no multiple of what they share it by

@@ -7,7 +7,7 @@ import matplotlib
 import numpy as np
 
 import jaxstab
-from jaxstab.scene import Scene, loop_of
+from jaxstab.app.scene import Scene, loop_of
 
 matplotlib.use("Agg")
 from matplotlib import pyplot

@@ -1,6 +1,6 @@
 """Write the 50-digit reference tables beside this file: `python data/reference/make_reference.py`.
 
-The formulas are those of benchmarks/truth. The tables come out the same, byte for byte, every time.
+The formulas are those of tests/truth. The tables come out the same, byte for byte, every time.
 """
 
 import sys
@@ -15,7 +15,7 @@ from mpmath import mp, mpf
 FOLDER = Path(__file__).resolve().parent
 sys.path.insert(0, str(FOLDER.parents[1]))
 
-from benchmarks.truth import loop as truth  # noqa: E402
+from tests.truth import loop as truth  # noqa: E402
 
 Row = tuple[object, ...]
 

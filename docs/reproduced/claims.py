@@ -14,7 +14,8 @@ import numpy as np
 import jaxstab
 from jaxstab import minimize_settling
 from jaxstab.conventions import Verdict
-from jaxstab.loop import ContactKind, HapticLoop
+from jaxstab.lab.contact.runs import ContactKind
+from jaxstab.loop import HapticLoop
 from jaxstab.model import Device
 from jaxstab.paper import linear_validity, passive_region, plant_coefficients
 from jaxstab.point import closed_loop_poles, verdict

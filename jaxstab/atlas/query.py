@@ -229,7 +229,7 @@ class Atlas:
         )
 
     def _repr_html_(self) -> str:
-        from jaxstab.pictures.style import html_of
+        from jaxstab.app.pictures.style import html_of
 
         return html_of(self, self.plot)
 
@@ -252,7 +252,7 @@ class Atlas:
         Raises: ValueError if gamma, delta or delay is outside of the atlas, or nothing is stable
         there.
         """
-        from jaxstab.pictures.plane import plot_atlas
+        from jaxstab.app.pictures.plane import plot_atlas
 
         return plot_atlas(self, ax, gamma, delta, delay)
 
@@ -342,7 +342,7 @@ class LoopAtlas:
 
         Raises: ValueError if the loop is outside of the atlas. Source: as ``query``.
         """
-        from jaxstab.pictures.plane import plot_walls
+        from jaxstab.app.pictures.plane import plot_walls
 
         return plot_walls(self, ax)
 

@@ -5,8 +5,6 @@ from .affine import pid as pid
 from .affine import simulated_pd as simulated_pd
 from .backwards import StableEnd as StableEnd
 from .backwards import StableValues as StableValues
-from .contact import Contact as Contact
-from .contact import ContactKind as ContactKind
 from .hands import WorstHand as WorstHand
 from .jitter import MovingLimits as MovingLimits
 from .jitter import WorstDelays as WorstDelays

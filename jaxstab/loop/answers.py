@@ -1,7 +1,7 @@
 """Regions, limits, margins and pictures of all loops of two gains, as methods.
 
 Each asks what the loop is (``loop.gains``) of the modules that know: its region and limits of
-``loop.region``, its margins of ``loop.margins``, and pictures of ``jaxstab.pictures``.
+``loop.region``, its margins of ``loop.margins``, and pictures of ``jaxstab.app.pictures``.
 """
 
 from abc import abstractmethod
@@ -208,7 +208,7 @@ class Answers(TwoGains):
             >>> loop.plot().get_xlabel(), loop.plot("bode", kp=1000.0, kd=20.0).get_xlabel()
             ('kp (N m/rad)', 'frequency (Hz)')
         """
-        from jaxstab.pictures.style import plot_loop, plot_open_loop
+        from jaxstab.app.pictures.style import plot_loop, plot_open_loop
 
         checked_word("kind", kind, ("region", "nyquist", "bode"))
         if kind == "region":

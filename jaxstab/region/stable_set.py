@@ -64,7 +64,7 @@ class ShownRegion:
         )
 
     def _repr_html_(self) -> str:
-        from jaxstab.pictures.style import html_of
+        from jaxstab.app.pictures.style import html_of
 
         return html_of(self, self.plot)
 
@@ -77,7 +77,7 @@ class ShownRegion:
         Example:
             >>> axes = jaxstab.stable_region(gamma=0.0, delta=0.015, delay=1.0).plot()
         """
-        from jaxstab.pictures.style import plot_region
+        from jaxstab.app.pictures.style import plot_region
 
         region: Any = self
         return plot_region(region, ax)

@@ -20,7 +20,7 @@
  * <= -gamma p(1) <= 0, so a root is at 1 or beyond; else p(1) > 0, which every step keeps, so that at
  * degree 1 only k < 1 is to be shown.
  *
- * What is assumed, and measured against 50 digits (tests/test_readers.py): that the plant's numbers
+ * What is assumed, and measured against 50 digits (tests/atlas/test_readers.py): that the plant's numbers
  * are wrong by at most PLANT 2^h units of 2^-52. Beyond about 25 samples of delay bounds grow until
  * hardly anything is decided. Do not compile with -ffast-math, nor with parts of it.
  */

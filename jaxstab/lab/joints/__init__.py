@@ -1,0 +1,5 @@
+"""The joints of robot files: each alone, proved; all at once, computed."""
+
+from jaxstab.lazy import attach_stub
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)
