@@ -74,6 +74,16 @@ def judgement(loop: Any, pair: tuple[float, float], wanted: Wanted) -> Judgement
     return judged(partial(loop._opened, *pair), wanted.wish(loop.sample_time), delay)
 
 
+def missed_margins(loop: Any, pair: tuple[float, float], wanted: Wanted) -> list[str] | None:
+    """The margins in words that a stable pair of gains misses; None where that is not told."""
+    names = {"phase": "phase_margin", "delay": "delay_margin", "sensitivity": "sensitivity"}
+    found = judgement(loop, pair, wanted)
+    if found.is_usable is None:
+        return None
+    missed = [names.get(name, "gain_margin") for name in found.missed]
+    return [wanted.texts[name] for name in dict.fromkeys(missed)]
+
+
 def usable_line(
     loop: Any, start: tuple[float, float], along: tuple[float, float], wanted: Wanted
 ) -> StableLine:

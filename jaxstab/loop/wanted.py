@@ -1,5 +1,6 @@
 """Margins as a wish: what the loop of a pair of gains shall withstand, in the words of users."""
 
+from collections.abc import Mapping
 from math import inf, nextafter, radians
 from typing import Any, NamedTuple
 
@@ -75,3 +76,8 @@ class Wanted(NamedTuple):
         """All of them in one phrase."""
         *others, last = self.texts.values()
         return f"{', '.join(others)} and {last}" if others else last
+
+
+def margins_in_words(margins: Mapping[str, Any]) -> str:
+    """Margins, by the names of their keywords, in one phrase."""
+    return Wanted.checked(**margins).words

@@ -345,7 +345,10 @@ def _table(rows: list[_Row]) -> str:
     return table_text([["scene", *plain, ""], *(row.cells(paths, 1) for row in rows)])
 
 
-@scene_command("safety", "at_damping", "at_stiffness")
+MARGINS = "phase_margin", "gain_margin", "sensitivity", "delay_margin"
+
+
+@scene_command("safety", "at_damping", "at_stiffness", *MARGINS)
 @scene_options
 @click.option("--all", "in_full", is_flag=True, help="Print everything, as --json does.")
 @click.option("--islands", is_flag=True, help="Print stable walls not connected to zero gains too.")
@@ -364,7 +367,7 @@ def limits(in_full: bool, islands: bool, **given: Any) -> int:
     return _answer(given, "limits", asked, is_short=not (in_full or is_asked), islands=islands)
 
 
-@scene_command("frequency", simulates=True)
+@scene_command("frequency", *MARGINS, simulates=True)
 @scene_options
 @click.option("--all", "in_full", is_flag=True, help="Print everything, as --json does.")
 @file_option(
@@ -447,7 +450,7 @@ def tune(**given: Any) -> int:
     return _answer(given, "tune")
 
 
-@scene_command("safety", "stiffness")
+@scene_command("safety", "stiffness", *MARGINS)
 @scene_options
 @click.option(
     "--for",

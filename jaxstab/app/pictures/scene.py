@@ -13,7 +13,7 @@ Walls are a line each, with the band of 95 % confidence.
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from decimal import ROUND_FLOOR
-from itertools import cycle
+from itertools import cycle, product
 from math import isfinite
 from textwrap import fill, wrap
 from typing import TYPE_CHECKING, Any
@@ -22,7 +22,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.collections import QuadMesh
+from matplotlib.collections import PolyCollection, QuadMesh
 from matplotlib.colors import ListedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -61,7 +61,9 @@ from jaxstab.app.scene.scene import Encoder, Scene
 from jaxstab.app.scene.tune import stiffness_over
 from jaxstab.conventions import Verdict
 from jaxstab.loop import HapticLoop, Region
+from jaxstab.loop.answers import Answers
 from jaxstab.loop.jitter import MovingLoop
+from jaxstab.loop.wanted import margins_in_words
 from jaxstab.motion.bounds import likely_settling
 
 if TYPE_CHECKING:
@@ -190,6 +192,7 @@ def scene_figure(scene: Scene | GainScene, answer: GainAnswer | None = None) -> 
         seen += [np.maximum(line.get_xydata(), 0.0) for line in panels[0].get_lines()]
     title = "Settling times of stable walls" if is_tuned else "Stable walls"
     views = [(title, np.concatenate(seen)), *beside]
+    usable = _usable(loop, {} if is_tuned else scene.wanted.margins)
     for panel, (words, points) in zip(planes, views, strict=True):
         _set_window(panel, points)
         panel.set_title(words)
@@ -197,6 +200,7 @@ def scene_figure(scene: Scene | GainScene, answer: GainAnswer | None = None) -> 
         draw_stable(panel, region)
         for outline, look in areas:
             panel.fill(*outline.T, **look)
+        _draw_usable(panel, *usable)
         if not is_tuned:
             draw_islands(panel, islands)
         if is_limits:
@@ -246,7 +250,9 @@ def _gain_figure(scene: GainScene, answer: GainAnswer | None) -> Figure:
         panels[1].set_title("enlarged", fontsize=9)
     stiffest = ", the stiffest" if scene.is_range else ""
     figure.suptitle(fill(plain(scene.loop.words + stiffest), 70), fontsize=9)
+    usable = _usable(scene.loop, scene.margins)
     for panel in panels:
+        _draw_usable(panel, *usable)
         _draw_marks(panel, marks, "gains")
     return _with_legend(figure, panels, marks, 3)
 
@@ -384,6 +390,35 @@ def _passive(scene: Scene, loop: HapticLoop) -> _Area:
     largest = _LARGEST.words(np.max(outline[:, 0], initial=0.0), scene.units)
     label = plain(f"passive: up to {largest}")
     return outline, {"facecolor": GREEN, "edgecolor": GREEN, "alpha": 0.6, "label": label}
+
+
+def _usable(loop: Answers, margins: Mapping[str, Any]) -> tuple[list[list[Spot]], str]:
+    """Pieces of the gains that have margins, between rows of proved intervals, and their words.
+
+    There are none of a delay margin, which is not proved for whole intervals.
+    """
+    rows = 48
+    if not margins or "delay_margin" in margins:
+        return [], ""
+    top, other = loop.limits(**margins).second.value, loop.gains[1].name
+    if not isfinite(top):
+        return [], ""
+    places = (top * np.linspace(0.0, 1.0 - 1e-6, rows)).tolist()
+    lines = [loop.intervals(**{other: at}, **margins).inner for at in places]
+    pieces = [
+        [(a, low), (b, low), (d, high), (c, high)]
+        for low, high, below, above in zip(places, places[1:], lines, lines[1:], strict=False)
+        for (a, b), (c, d) in product(below, above)
+        if max(a, c) <= min(b, d)
+    ]
+    return pieces, plain(f"with {margins_in_words(margins)}")
+
+
+def _draw_usable(panel: Axes, pieces: list[list[Spot]], label: str) -> None:
+    light = "#f3cf80"  # of orange; opaque, for pieces overlap at their edges
+    look: Any = {"facecolor": light, "edgecolor": light, "lw": 0.3}
+    if pieces:
+        panel.add_collection(PolyCollection(pieces, label=label, **look), autolim=False)
 
 
 def _set_window(panel: Axes, points: Floats) -> None:

@@ -1,5 +1,6 @@
 """The walls of a scene: verdict, margins, radius, settling and chatter, with proofs."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import permutations
 from math import inf, isnan, nan
@@ -16,7 +17,10 @@ from jaxstab.app.scene.scene import Scene
 from jaxstab.arrays import take, tree_map
 from jaxstab.conventions import Verdict
 from jaxstab.loop import FrequencyMargins, Gains, HapticLoop
+from jaxstab.loop.answers import Answers
 from jaxstab.loop.margins import wall_frequency_margins
+from jaxstab.loop.usable import missed_margins
+from jaxstab.loop.wanted import Wanted
 from jaxstab.motion import Settling as MotionSettling
 from jaxstab.motion import SettlingStatus
 from jaxstab.rounding import EPS
@@ -50,6 +54,23 @@ def stable_row(name: str, unless: str, *gains: tuple[str, str, str]) -> Template
     return Template(name, ("; ".join(words),), when=f"{gains[0][0]}_limits", unless=unless)
 
 
+MARGINS_ROW = Template("margins wanted", ("{usable}",))
+
+
+def usable_in_words(
+    tried: Sequence[Answers], pair: tuple[float, float], margins: Mapping[str, Any]
+) -> tuple[str, bool]:
+    """Whether a stable pair of gains has margins with each of some loops; and that as a truth."""
+    wanted, missed, is_known = Wanted.checked(**margins), dict[str, None](), True
+    for loop in tried:
+        found = missed_margins(loop, pair, wanted)
+        is_known = is_known and found is not None
+        missed |= dict.fromkeys(found or [])
+    if missed:
+        return f"misses {' and '.join(missed)}", False
+    return (f"has {wanted.words}", True) if is_known else (f"not proved: {wanted.words}", False)
+
+
 _OF_WALL = (
     Template("measures", ("{left_out}",)),
     Template(
@@ -68,6 +89,7 @@ _OF_WALL = (
         ("damping", "B", "{stiffness}"),
     ),
     Template("", of="margins_over_frequency"),
+    MARGINS_ROW,
     Template("settling time (2 %)", ("not proved within {horizon}", "{settling_time_2_percent}")),
     Template(
         "encoder chatter",
@@ -97,10 +119,13 @@ def check_walls(scene: Scene, *, in_full: bool = True) -> GainAnswer:
     """The verdict on each wall and the requested measures, at their worst; at least one wall.
 
     The worst hand is that of the largest radius, which is given for it; every other measure is the
-    worst over the hands that are tried, but for the jitter, which is proved for every hand. Not
+    worst over the hands that are tried, but for the jitter, which is proved for every hand. A wall
+    that misses a margin that is wanted, with one of them, does not count as stable. Not
     ``in_full`` the answer has what its short text says.
     """
     scene.require_walls()
+    if margins := scene.wanted.margins:
+        scene.controller.require_one_delay(f"a check of {' and '.join(margins)}")
     felt = contacts_or_reasons(scene) if scene.wanted.measures else {}
     constant = (loops.with_delay(scene, delay) for delay in dict.fromkeys(scene.controller.delays))
     corners = [loop for own in constant for loop in loops.corner_loops(own)]
@@ -126,9 +151,13 @@ def check_walls(scene: Scene, *, in_full: bool = True) -> GainAnswer:
             of_many = f"the worst of {count} {' and '.join(kinds)}{lost}"
             words = of_many if count > 1 or lost else None
         told = {"measures_are": words if scene.wanted.measures else None}
+        is_usable = True
+        if margins and wall.verdict == Verdict.STABLE:
+            pair = wall.stiffness, wall.damping
+            told["usable"], is_usable = usable_in_words(tried, pair, margins)
         values = {**wall.values, **told, **measured, "simulated": felt.get(name)}
         checked[name] = GainAnswer(
-            values, is_stable=wall.is_stable, remarks=remarks, short=_OF_WALL
+            values, is_stable=wall.is_stable and is_usable, remarks=remarks, short=_OF_WALL
         )
     ranges = None
     if not controller.has_one_delay or loops.hands_of(scene) is not None:

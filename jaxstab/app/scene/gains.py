@@ -24,14 +24,23 @@ from jaxstab import loop as doors
 from jaxstab import tables as t
 from jaxstab.answers import GainAnswer, Template, Units
 from jaxstab.app.scene.answers import basis_of
-from jaxstab.app.scene.check import frequency_answer, stable_row
-from jaxstab.app.scene.limits import SAFETY, StableGains, given_row, limit_row, pair_row, standing
+from jaxstab.app.scene.check import MARGINS_ROW, frequency_answer, stable_row, usable_in_words
+from jaxstab.app.scene.limits import (
+    SAFETY,
+    StableGains,
+    given_row,
+    limit_row,
+    pair_row,
+    standing,
+    usable_rows,
+)
 from jaxstab.app.scene.loops import device_of, hands_of, loop_of
-from jaxstab.app.scene.scene import DeviceTable, HandTable, PositionTable, Scene
+from jaxstab.app.scene.scene import DeviceTable, HandTable, MarginTable, PositionTable, Scene
 from jaxstab.app.scene.tune import largest_value
 from jaxstab.conventions import Verdict
 from jaxstab.exact import LineStatus, stable_line
 from jaxstab.loop import Loop
+from jaxstab.loop.wanted import Wanted
 from jaxstab.model.affine import affine_triple
 from jaxstab.model.gain import Gain
 from jaxstab.numbers import without_noise
@@ -141,13 +150,17 @@ class _ForEach(StableGains):
     @property
     def certainty(self) -> str | None:
         """The certainty of a limit that is proved."""
+        return super().certainty if self._is_one else "proved for every environment"
+
+    @property
+    def _is_one(self) -> bool:
         low, high = self.environment
-        return "proved for every environment" if low < high else None
+        return low == high
 
     def verdict(self, first: float, second: float) -> Verdict | str:
         """The verdict on both gains."""
         verdict = super().verdict(first, second)
-        if verdict != Verdict.STABLE or self.certainty is None:
+        if verdict != Verdict.STABLE or self._is_one:
             return verdict
         line = stable_line(partial(affine_triple, self.loop.parts), (0.0, 0.0), (first, second))
         ends = ((low.value, high.value - high.error) for low, high in line.intervals)
@@ -157,7 +170,7 @@ class _ForEach(StableGains):
 
     def around(self, pair: Mapping[str, float]) -> GainAnswer:
         """The verdict on a pair, and of one environment the stable values of each gain."""
-        if self.certainty is None:
+        if self._is_one:
             return super().around(pair)
         verdict = self.verdict(*pair.values())
         return GainAnswer({**pair, "verdict": verdict}, self.formats, verdict == Verdict.STABLE)
@@ -197,7 +210,7 @@ class _ForEach(StableGains):
 
     def beside(self, own: Gain, value: float, at: float) -> float:
         """The other gain: a given one, or one in the middle of stable ones around it."""
-        if self.certainty is None:
+        if self._is_one:
             return super().beside(own, value, at)
         steps = np.geomspace(1e-5, 3.0, 24)
         others = at * np.sort([*(1.0 + steps), 1.0, *(1.0 / (1.0 + steps))])
@@ -256,6 +269,12 @@ class GainScene:
         safety = self.wanted["safety"] or 1.0
         return _ForEach(self.loop, safety, environment=self.environment)
 
+    @property
+    def margins(self) -> dict[str, Any]:
+        """The margins that are wanted, as ``is_usable`` takes them."""
+        wanted = {name: self.wanted[name] for name in Wanted._fields}
+        return {name: value for name, value in wanted.items() if value is not None}
+
     def unusual(self) -> list[str]:
         """Describe values that look like a slip of the unit."""
         return self.held.unusual() if self.held else []
@@ -279,11 +298,10 @@ def _tables_of(*gains: Gain) -> tuple[Any, Any]:
     both = {gain.name: t.quantity(gain.unit) for gain in gains}
     wishes: dict[str, Any] = {"safety": t.share, "frequency": t.truth, **both}
     wishes |= {f"at_{name}": own for name, own in both.items()}
-    made: Any = partial(make_dataclass, bases=(t.Table,), frozen=True, kw_only=True)
-    return (
-        made("Pair", [(name, Any, t.key(own)) for name, own in both.items()]),
-        made("Wanted", [(name, Any, t.key(own, None)) for name, own in wishes.items()]),
-    )
+    made: Any = partial(make_dataclass, frozen=True, kw_only=True)
+    pair = [(name, Any, t.key(own)) for name, own in both.items()]
+    wanted = [(name, Any, t.key(own, None)) for name, own in wishes.items()]
+    return made("Pair", pair, bases=(t.Table,)), made("Wanted", wanted, bases=(MarginTable,))
 
 
 # Answers, whose names are those of the gains.
@@ -310,6 +328,11 @@ def gain_limits(scene: GainScene) -> GainAnswer:
                 "of gains are proved; give one environment, or [gains.NAME]."
             )
         values[f"at_given_{own.name}"] = stable.at(own, at)
+    if is_any and (usable := stable.usable(scene.margins)):
+        values["usable"] = usable.largest()
+        for own in gains:
+            at = scene.wanted[f"at_{own.name}"]
+            values[f"usable_at_given_{own.name}"] = usable.at(own, at)
     pairs = {name: standing(stable.around(pair)) for name, pair in scene.pairs.items()}
     one, two = (gain.name for gain in gains)
     limits_of_each = (
@@ -319,12 +342,14 @@ def gain_limits(scene: GainScene) -> GainAnswer:
     rows = (
         SAFETY,
         *limits_of_each,
+        *usable_rows(one, two),
         Template("note", ("{limits}",)),
         given_row(two, one),
         given_row(one, two),
         pair_row("gains {}", "gains", one, two),
     )
-    main = [*(f"{own.name}.{own.sense}_{own.name}" for own in gains), "gains.*.verdict"]
+    main = [f"{place}{own.name}.*_{own.name}" for place in ("", "usable.") for own in gains]
+    main += ["gains.*.verdict"]
     return GainAnswer(values | {"gains": pairs}, is_stable=is_any, short=rows, columns=main)
 
 
@@ -349,8 +374,12 @@ def _checked(scene: GainScene, pair: dict[str, float]) -> GainAnswer:
         for name, (low, high) in zip(names, scene.loop.margins(**pair)[3:6], strict=True):
             margins[name] = (*without_noise([low, high], 1.0).tolist(),)
     radii = {"spectral_radius": float(radius.value), "radius_error": float(radius.error)}
+    is_usable = verdict == Verdict.STABLE
+    if is_usable and scene.margins:
+        one, two = pair.values()
+        margins["usable"], is_usable = usable_in_words([scene.loop], (one, two), scene.margins)
     values = pair | {"verdict": verdict} | radii | margins | found.values
-    return replace(found, values=values, is_stable=verdict == Verdict.STABLE, short=_of_pair(*pair))
+    return replace(found, values=values, is_stable=is_usable, short=_of_pair(*pair))
 
 
 def _of_pair(one: str, two: str) -> list[Template]:
@@ -361,6 +390,7 @@ def _of_pair(one: str, two: str) -> list[Template]:
         Template("gain margins", (f"may be multiplied: {', '.join(factors)}",)),
         stable_row("stable gains", "both_factors", *around),
         Template("", of="margins_over_frequency"),
+        MARGINS_ROW,
     ]
 
 
@@ -420,15 +450,17 @@ def design_gains(scene: GainScene) -> GainAnswer:
     late = "delay_steps" if period == "step" else "delay" if "delay" in section else "delay_samples"
 
     def at(name: str, value: Any) -> StableGains:
-        return scene.from_table(
+        other = scene.from_table(
             t.with_value(scene.tables, f"{place}.{name}", value, [place, name])
-        ).stable
+        )
+        return other.stable.usable(scene.margins) or other.stable
 
     start = section[period]
     at(period, 0.7317 * start)  # refuses a window in s, which goes with few sample times
     unit = start if late == "delay" else 1.0
     is_whole = not scene.held  # steps, or samples
-    now = scene.stable.limit(own, *scene.stable.found(own))
+    stable = scene.stable.usable(scene.margins) or scene.stable
+    now = stable.limit(own, *stable.found(own))
     values = {own.name: goal, "now": replace(now, is_stable=True)}
     values[period] = largest_value(
         period, partial(at, period), own, goal, start, (start / 1024.0, 1024.0 * start)

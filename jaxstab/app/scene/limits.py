@@ -1,12 +1,13 @@
 """The limits of gains: their largest and least values, the stable ones of a row, and around pairs.
 
 ``StableGains`` has them for the walls of a held device and for any other two gains; a limit is
-printed as a stable pair, proved. ``scene_limits`` gives those of walls beside the simple rules.
+printed as a stable pair, proved. With margins they are those of usable gains. ``scene_limits``
+gives those of walls beside the simple rules.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from itertools import product
 from math import inf, isfinite, isnan, nan
 from typing import Any
@@ -32,10 +33,12 @@ from jaxstab.exact import LineStatus, StableLine
 from jaxstab.loop import Gains, HapticLoop, Limits
 from jaxstab.loop.answers import Answers
 from jaxstab.loop.region import ABOVE_0, other_gain, printed_limit
+from jaxstab.loop.usable import UsableLimits
+from jaxstab.loop.wanted import margins_in_words
 from jaxstab.model import Velocity
 from jaxstab.model.gain import Gain
 from jaxstab.region import RegionStatus
-from jaxstab.shown import Printed, exact_text
+from jaxstab.shown import Printed, exact_text, shortened
 
 _SEE_BELOW = " (all hands: see below)"
 
@@ -49,11 +52,16 @@ class StableGains:
     besides: tuple[Answers, ...] = ()  # loops for which rows are to be stable, too
     units: Units = Units.LINE
     are_walls: bool = False  # with intervals below 0, beside the linear rule
+    margins: Mapping[str, Any] = field(default_factory=dict)  # as of ``is_usable``
 
     @property
     def certainty(self) -> str | None:
         """The certainty of a limit that is proved, if it is to be said."""
-        return None
+        return f"with {margins_in_words(self.margins)}" if self.margins else None
+
+    @cached_property
+    def _usable(self) -> UsableLimits:
+        return self.loop.limits(**self.margins)
 
     def verdict(self, first: float, second: float) -> Verdict | str:
         """The verdict on two gains; of a device that nothing holds it may be but for a drift."""
@@ -71,10 +79,18 @@ class StableGains:
     def is_stable(self, own: Gain, value: float, other: float) -> bool:
         """True if a value of a gain, and one of the other, are stable."""
         pair = (value, other) if own == self.loop.gains[0] else (other, value)
+        if self.margins:
+            names = (gain.name for gain in self.loop.gains)
+            gains: Any = dict(zip(names, pair, strict=True))
+            return bool(self.loop.is_usable(**gains, **self.margins))
         return self.verdict(*pair) in (Verdict.STABLE, BUT_FOR_DRIFT)
 
     def found(self, own: Gain) -> tuple[float, float]:
         """The limit of a gain, and the other gain there; RuntimeError where it is not resolved."""
+        if self.margins:
+            usable = self._usable
+            limit = usable.first if own == self.loop.gains[0] else usable.second
+            return limit.value, limit.at
         region = self.loop.region()
         if region.status == RegionStatus.UNRESOLVED:
             raise RuntimeError(
@@ -113,18 +129,36 @@ class StableGains:
 
     def beside(self, own: Gain, value: float, at: float) -> float:
         """The other gain: a given one, or one between the ends of the nearest stable interval."""
+        if self.margins:
+            return at
         return other_gain(self.loop, self.loop.gains.index(own), value, at)
+
+    def usable(self, margins: Mapping[str, Any]) -> "StableGains | None":
+        """The gains with margins, of which limits are what a search finds; None without any."""
+        if not margins:
+            return None
+        if self.safety != 1.0:
+            raise ValueError(
+                f"wanted.safety is {self.safety:g} beside {' and '.join(margins)}; give one of "
+                "them: each keeps a distance."
+            )
+        return replace(self, margins=margins)
+
+    def largest(self) -> dict[str, GainAnswer]:
+        """The limit of each gain, by its name."""
+        return {own.name: self.limit(own, *self.found(own)) for own in self.loop.gains}
 
     def row(self, fixed: Gain, value: float, around: float = nan) -> dict[str, Any]:
         """The stable values of the other gain: first those around one, or small ones."""
         own, every = self.other(fixed), (self.loop, *self.besides)
-        lines = [loop.intervals(**{fixed.name: value}) for loop in every]
+        lines = [loop.intervals(**{fixed.name: value}, **self.margins) for loop in every]
         found = stable_intervals(lines, self.safety, around)
         least = 0.0 if own.sense == "least" else -inf  # a mass is not negative
         found = [(max(low, least), high) for low, high in found if self.are_walls or high > 0.0]
         first, *others = found or [(nan, nan)]
         values = {f"{own.name}_limits": first, f"other_{own.name}": numbered(others)}
-        has_rule = self.are_walls and fixed.name == "damping" and loops.is_plain(self.loop)
+        is_wall = self.are_walls and not self.margins
+        has_rule = is_wall and fixed.name == "damping" and loops.is_plain(self.loop)
         return values | ({"linear_rule_stiffness": self.linear_rule(value)} if has_rule else {})
 
     def linear_rule(self, damping: float) -> float:
@@ -204,10 +238,21 @@ def limit_row(
     return Template(name, (pair, "{certainty}", f"no stable {noun}"), of)
 
 
-def given_row(own: str, fixed: str) -> Template:
+def usable_rows(own: str, other: str, more: str = "") -> tuple[Template, ...]:
+    """The rows of the largest usable value of each gain, and of those at a value of the other."""
+    each = (limit_row("", "", f"largest_{name}", at) for name, at in ((own, other), (other, own)))
+    limits = [f"{row.ways[0]}{more}" for row in each]
+    rows = (given_row(*pair, "usable") for pair in ((own, other), (other, own)))
+    return Template(
+        "largest usable {}", (*limits, "{certainty}", "none was found"), "usable"
+    ), *rows
+
+
+def given_row(own: str, fixed: str, kind: str = "stable") -> Template:
     """The row of the stable values of a gain at a value of the other one that is asked for."""
     words = f"[{{{own}_limits}}|none] at {{at_{fixed}}}[, also {{other_{own}}}]"
-    return Template(f"stable {own}", (words,), f"at_given_{fixed}")
+    place = "" if kind == "stable" else f"{kind}_"
+    return Template(f"{kind} {own}", (words,), f"{place}at_given_{fixed}")
 
 
 def pair_row(name: str, of: str, own: str, other: str) -> Template:
@@ -236,6 +281,7 @@ _LIMITS = (
     SAFETY,
     _STIFFEST("largest stiffness", "best", more="[, hand {hand}]"),
     _STIFFEST("for all hands", "all_hands"),
+    *usable_rows("stiffness", "damping", "[, hand {hand}]"),
     Template("note", ("{reached}",)),
 )
 _HINT = Template("islands", ("{isolated}: see --islands",))
@@ -244,6 +290,7 @@ _COLUMNS = (
     "best.largest_stiffness",
     "best.at_damping",
     "all_hands.largest_stiffness",
+    "usable.stiffness.largest_stiffness",
     "most_damped.largest_damping",
     "walls.*.verdict",
 )
@@ -274,6 +321,7 @@ def scene_limits(scene: Scene, *, islands: bool = False) -> GainAnswer:
         StableGains(loop, wanted.safety or 1.0, are_walls=True),
     )
     limits, (of_k, of_b) = region.limits(), loop.gains
+    usable = stable.usable(wanted.margins)
     is_any_stable = isfinite(limits.stiffness)  # with K >= 0 and B >= 0
     has_rules, is_reached = loops.is_plain(loop), limits.is_reachable or region.is_empty
     isolated = {"reached": "isolated: not connected to zero gains"}
@@ -290,6 +338,7 @@ def scene_limits(scene: Scene, *, islands: bool = False) -> GainAnswer:
             "best": stable.limit(of_k, *limits[:2]),
             "all_hands": loops.limit_for_all(scene, stable.safety),
             "most_damped": stable.limit(of_b, *limits[2:4]),
+            "usable": usable.largest() if usable else {},
             "reached": None if is_reached else "small gains are not stable",
             "islands": numbered(map(GainAnswer, isles)),
             "passive": _passive(loop, stable) if has_rules else None,
@@ -297,6 +346,8 @@ def scene_limits(scene: Scene, *, islands: bool = False) -> GainAnswer:
             "windows": _other_windows(loop, stable) if scene.controller.velocity is None else {},
             "at_given_damping": stable.at(of_b, wanted.at_damping),
             "at_given_stiffness": stable.at(of_k, wanted.at_stiffness),
+            "usable_at_given_damping": usable and usable.at(of_b, wanted.at_damping),
+            "usable_at_given_stiffness": usable and usable.at(of_k, wanted.at_stiffness),
             "walls": {
                 name: standing(_around(scene, stable, wall))
                 for name, wall in loops.walls_of(scene).items()
@@ -329,11 +380,12 @@ def _over_delays(scene: Scene) -> GainAnswer:
     """Return the stiffest wall that is proved for a range of delays, and the verdicts on walls."""
     wanted, loop, controller = scene.wanted, loops.loops_over_delays(scene)[0], scene.controller
     walls = loops.walls_of(scene)
-    for name in ("at_damping", "at_stiffness"):
-        if getattr(wanted, name) is not None:
+    given = {name: getattr(wanted, name) for name in ("at_damping", "at_stiffness")}
+    for name, value in {**given, **wanted.margins}.items():
+        if value is not None:
             raise ValueError(
-                f"wanted.{name} is {getattr(wanted, name):g} beside a range of delays; leave it "
-                "out, or give one delay."
+                f"wanted.{name} is {shortened(value)} beside a range of delays; leave it out, or "
+                "give one delay."
             )
     unstable, safety, every = None, wanted.safety or 1.0, "constant delay"
     if controller.moves:

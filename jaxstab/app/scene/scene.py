@@ -482,8 +482,51 @@ class ContactTable(t.Table):
 FINGER = {Units.LINE: (1.0, 0.1), Units.ROTATION: (0.05, 1.0)}  # push and speed: N, m/s; N m, rad/s
 
 
+def _factors(value: Any) -> tuple[float, float]:
+    """Return the least and the largest factor of a gain margin; one alone is the largest."""
+    both = value if isinstance(value, list | tuple) else (1.0, value)
+    words = "give a factor > 1, such as 2, or [least, largest], such as [0.5, 2]"
+    try:
+        low, high = map(t.any_number, both)
+    except ValueError:
+        raise ValueError(words) from None
+    if not 0.0 < low <= 1.0 < high:
+        raise ValueError(words)
+    return low, high
+
+
 @dataclass(frozen=True, kw_only=True)
-class Wanted(t.Table):
+class MarginTable(t.Table):
+    """The margins that usable gains have; None for one that does not matter."""
+
+    phase_margin: float | None = t.key(
+        t.NumberCheck("a number > 0 and < 180 in degrees", lambda x: 0.0 < x < 180.0, "degrees"),
+        None,
+        words="the phase margin that usable gains have,",
+    )
+    gain_margin: tuple[float, float] | None = t.key(
+        _factors, None, words="the factor up to which usable gains may be multiplied, such as 2"
+    )
+    sensitivity: float | None = t.key(
+        t.NumberCheck("a finite number > 1", lambda x: x > 1.0),
+        None,
+        words="the peak of |S| of usable gains, at most, such as 2",
+    )
+    delay_margin: float | None = t.key(
+        t.quantity("s", is_positive=True),
+        None,
+        words="the delay by which the loop of usable gains may be late,",
+    )
+
+    @property
+    def margins(self) -> dict[str, Any]:
+        """Those that are wanted, as ``is_usable`` takes them."""
+        names = [entry.name for entry in fields(MarginTable)]
+        return {name: value for name in names if (value := getattr(self, name)) is not None}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wanted(MarginTable):
     """The measures of a wall beside its verdict, and requirements on the answers."""
 
     measures: tuple[str, ...] = t.key(t.each(t.one_of(MEASURES)), MEASURES)

@@ -259,6 +259,11 @@ def design_loop(scene: Scene) -> GainAnswer:
     loop, in_samples = loops.loop_of(scene), scene.controller.delay_samples
     period, of_k, safety = loop.sample_time, loop.gains[0], scene.wanted.safety or 1.0
     hands, corners = loops.hands_of(scene), loops.corner_loops(scene)
+    if hands and scene.wanted.margins:
+        raise ValueError(
+            f"{' and '.join(scene.wanted.margins)} in [wanted] are beside a range of hands, for "
+            "which walls are proved without margins; give one hand, or leave them out."
+        )
     ranges = {"hands": hands, "mass": loops.masses_of(scene)}
     shortest = max(period / 1024.0, loop.delay / most_samples if in_samples is None else 0.0)
     longest = min(1024.0 * period, _longest(loop))
@@ -269,7 +274,8 @@ def design_loop(scene: Scene) -> GainAnswer:
         def at(value: float) -> StableGains:
             first, *others = (loop_at(scene, value, corner) for corner in corners)
             if hands is None:
-                return StableGains(first, safety, are_walls=True)
+                stable = StableGains(first, safety, are_walls=True)
+                return stable.usable(scene.wanted.margins) or stable
             return _WallsForAll(first, safety, (*others,), are_walls=True, ranges=ranges)
 
         def limit(corner: HapticLoop, value: float) -> float:
@@ -289,6 +295,7 @@ def design_loop(scene: Scene) -> GainAnswer:
         return answer
 
     stable = StableGains(loop, safety, are_walls=True)
+    stable = stable.usable(scene.wanted.margins) or stable
     now: Any = loops.limit_for_all(scene, safety) or stable.limit(of_k, *stable.found(of_k))
     return GainAnswer(
         {
@@ -304,7 +311,9 @@ def design_loop(scene: Scene) -> GainAnswer:
                 _periods(loop, shortest, inf),
             ),
             "delay": largest("delay", delayed_loop, period, (0.0, most_samples * period)),
-            "certainty": f"proved for every {loops.every_in_words(scene)}" if hands else None,
+            "certainty": f"proved for every {loops.every_in_words(scene)}"
+            if hands
+            else stable.certainty,
         },
         columns=("now_allowed_stiffness", "sample_time.largest_*", "delay.largest_*"),
     )
