@@ -20,4 +20,4 @@ assert_type(region, jaxstab.results.StableRegion)
 radius: Any = jaxstab.spectral_radius(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0).value
 atlas = jaxstab.open_atlas("atlas.h5")
 assert_type(atlas.query(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0), jaxstab.results.AtlasAnswer)
-assert_type(jaxstab.paper.passive_region(delta=1.0), jaxstab.paper.PassiveRegion)
+assert_type(jaxstab.paper.passive_region(delta=1.0), jaxstab.results.PassiveRegion)

@@ -41,6 +41,7 @@ from .motion import Settling as Settling
 from .motion import SettlingStatus as SettlingStatus
 from .point import SpectralRadius as SpectralRadius
 from .region import Branch as Branch
+from .region import PassiveRegion as PassiveRegion
 from .region import RegionStatus as RegionStatus
 from .region import StableRegion as StableRegion
 from .trace import BoundaryTrace as BoundaryTrace

@@ -67,6 +67,8 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "HapticLoop.margins": ["loop", 1000.0, 10.0],
     "HapticLoop.frequency_margins": ["loop", 1000.0, 10.0],
     "HapticLoop.is_usable": ["loop", 1000.0, 10.0, {"phase_margin": 30.0}],
+    "HapticLoop.is_passive": ["loop", 10.0, 0.0],
+    "HapticLoop.passive_region": ["loop"],
     "HapticLoop.jitter_margin": ["loop", 1000.0, 10.0],
     "HapticLoop.worst_delays": ["loop", 1000.0, 10.0, {"delays": (0.0, 1e-3)}],
     "HapticLoop.settling_time": ["loop", 1000.0, 10.0],

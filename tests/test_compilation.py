@@ -32,7 +32,7 @@ WITHOUT_ARRAYS = {
     "trace_boundary",
     *(
         f"HapticLoop.{method}"
-        for method in ("region", "limits", "tune", "robust_limit", "boundary")
+        for method in ("region", "limits", "tune", "robust_limit", "boundary", "passive_region")
     ),
 }
 
@@ -46,6 +46,7 @@ WITH_FLINT = {  # loops, lines of walls and regions are in balls, filters in exa
     *(f"HapticLoop.{line}" for line in ("damping_intervals", "stiffness_intervals", "intervals")),
     *("HapticLoop.boundary_distance", "HapticLoop.robust_limit", "HapticLoop.worst_hand"),
     *("contact", "HapticLoop.frequency_margins", "HapticLoop.is_usable", "HapticLoop.range_of"),
+    *("HapticLoop.is_passive", "HapticLoop.passive_region"),
     "HapticLoop.boundary",
     *(
         "HapticLoop.simulate",

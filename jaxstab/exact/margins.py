@@ -45,19 +45,12 @@ stable, and on the whole unit circle
 then it is stable for every sequence. On the circle |a|^2 is the cosine sum with the coefficients of
 a(z) a(1/z), and so is all of the difference. It has no zero in (0, pi) and is positive at 0 and pi:
 that is the inequality (``circle``). Nothing is divided, so that a free device is no special case.
-
-C6 is asked in the same way: a wall behind a sampler, a delay n + f and a hold is passive with the
-damping delta where, in the notation of ``paper.rules``,
-
-    delta - R - f (1 - f) |H|^2 / (4 delta) > 0
-
-for all angles. R and |H|^2 are cosine sums, so the left side is one.
 """
 
 from collections.abc import Callable, Collection
 from functools import cache, partial, reduce
 from heapq import heappop, heappush
-from math import floor, inf, nan, nextafter, pi, ulp
+from math import inf, nan, nextafter, pi, ulp
 from operator import add
 from typing import Any, NamedTuple
 
@@ -505,22 +498,3 @@ def squared(p: Factored) -> "list[arb]":
     rising = p._replace(power=0).polynomial().coeffs()
     product = arb_poly(rising) * arb_poly(rising[::-1])
     return [product[len(rising) - 1 + lag] for lag in range(len(rising))]
-
-
-def is_passive(alpha: float, beta: float, delta: float, delay: float) -> bool:
-    """True if a wall is proved passive with a damping > 0; False also where balls do not tell."""
-    whole = floor(delay)
-
-    def answer() -> bool | None:
-        a, b, damping = arb(alpha), arb(beta), arb(delta)
-        fraction = arb(delay) - whole
-        needed = [arb(0)] * (whole + 3)  # coefficients of cos(k theta)
-        needed[: whole + 2] = [a / 2, *[a] * whole, a * fraction]
-        needed[whole + 1] -= b * (1 - fraction)
-        needed[whole + 2] -= b * fraction
-        fold = fraction * (1 - fraction) / (4 * damping)
-        needed[0] += fold * ((a + b) ** 2 + b**2)
-        needed[1] -= fold * 2 * b * (a + b)
-        return is_positive([damping - needed[0], *(-c for c in needed[1:])])
-
-    return bool(alpha >= 0.0 and decided(answer))

@@ -23,16 +23,17 @@ over the run of neighbouring angles at which they do they fill an interval: it i
 t beside it is judged next. Angles and runs are float64; an end is where E5 says yes next to it.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from math import inf, isfinite, nan, pi, ulp
 from typing import Any, NamedTuple
 
 import numpy as np
 from flint import arb, arb_poly
-from jaxtyping import Complex128, Float64
+from jaxtyping import Float64
 
 from jaxstab.exact.circle import is_positive
+from jaxstab.exact.floats import FloatValues
 from jaxstab.exact.line import End, Interval, StableLine
 from jaxstab.exact.margins import Reading, readings
 from jaxstab.model.balls import Factored
@@ -303,37 +304,6 @@ def _highest(function: Callable[[float], float], most: float) -> float:
 
 
 # --------------------------------------------------------------------------------- ends of a row
-class _Values:
-    """A polynomial at angles in float64, next to z = 1 in powers of z - 1."""
-
-    def __init__(self, p: Factored) -> None:
-        self.p = p
-        sides = p.rest, p.rest(arb_poly([1, 1]))
-        self.plain, self.near = (
-            np.array([float(c.mid()) for c in side.coeffs()][::-1] or [0.0]) for side in sides
-        )
-
-    def __call__(self, theta: Float64[np.ndarray, " angle"]) -> Complex128[np.ndarray, " angle"]:
-        p, half, z = self.p, 0.5 * theta, np.exp(1j * theta)
-        one, minus = 2j * np.sin(half) * np.exp(1j * half), 2.0 * np.cos(half) * np.exp(1j * half)
-        is_near = theta < 0.4
-        value = np.empty(theta.shape, complex)
-        value[is_near] = np.polyval(self.near, one[is_near])
-        value[~is_near] = np.polyval(self.plain, z[~is_near])
-        value *= z**p.power * one**p.at_one * minus**p.at_minus_one
-        for n in p.windows:
-            value *= np.sin(n * half) / np.sin(half) * np.exp(1j * (n - 1) * half)
-        return value
-
-    def angles(self) -> Iterator[Float64[np.ndarray, " angle"]]:
-        """Angles next to its roots."""
-        aside = np.r_[0.0, np.geomspace(0.05, 20.0, 12)]
-        roots = np.roots(self.plain)
-        for root in roots[(np.abs(roots) > 0.3) & (np.abs(roots) < 3.0)]:
-            width = max(abs(np.log(abs(root))), 1e-9)
-            yield np.abs(np.abs(np.angle(root)) + width * np.r_[-aside, aside])
-
-
 class Scan:
     """The t of a row at which a wish is missed, over some angles, in float64."""
 
@@ -341,7 +311,7 @@ class Scan:
         self.wish = wish
         with working_precision(FIRST_BITS):
             parts = row()
-            self.sides = [_Values(part) for part in parts]
+            self.sides = [FloatValues(part) for part in parts]
             self.ends = [[float(part.at_end(z).mid()) for part in parts] for z in (1, -1)]
         self.theta = self._angles() if angles is None else angles
         self.values = [side(self.theta) for side in self.sides]

@@ -20,6 +20,7 @@ from jaxstab.loop.margins import (
     margins,
     wall_frequency_margins,
 )
+from jaxstab.loop.passive import passive_wall
 from jaxstab.loop.region import (
     TOLERANCE,
     Gains,
@@ -38,6 +39,7 @@ from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.model.loop import array_fields, refuse_arrays
 from jaxstab.model.plant import wall_grid
 from jaxstab.numbers import checked, checked_number, checked_word, require_together
+from jaxstab.region.passive import PassiveRegion, passive_region_of
 
 if TYPE_CHECKING:
     from jaxstab.boxes import HandRange, RobustLimit
@@ -58,8 +60,8 @@ class HapticLoop(LoopParameters, Answers):
     ``amplitude``, ``frequency_margins``, ``simulate``; about all walls: ``region``,
     ``limits``, ``stiffness_limits``, ``damping_limits``, ``stiffness_intervals``,
     ``damping_intervals``, ``boundary``, ``boundary_distance``, ``tune``; about all hands of a
-    range: ``worst_hand``, ``robust_limit``; and ``range_of``, ``to_control``. Numbers are in SI
-    units.
+    range: ``worst_hand``, ``robust_limit``; about every hand: ``is_passive``, ``passive_region``;
+    and ``range_of``, ``to_control``. Numbers are in SI units.
 
     Fields may be arrays that broadcast; the loop then stands for many loops. The methods from
     ``verdict`` to ``amplitude`` broadcast them with the walls, if the device is one mass and the
@@ -564,6 +566,58 @@ class HapticLoop(LoopParameters, Answers):
         found = margins(*self._in_units(stiffness, damping), **by_name(*plant) | self.filters)
         units = self.stiffness(1.0), self.damping(1.0), self.sample_time
         return in_si_units(found, *units)
+
+    def is_passive(self, stiffness: float, damping: float) -> bool | None:
+        """Whether no passive hand can draw energy from a wall, up to the device's own damper.
+
+        Such a wall is stable with every hand that is passive itself, however stiff or light. A wall
+        that is not passive may still be stable with all hands of a range: ``worst_hand``. One-sided
+        or clipped walls, delays that move, friction and quantisation are not covered.
+
+        Args:
+            stiffness, damping: see ``jaxstab.conventions``.
+
+        Returns:
+            True or False, both proved; None where it is not told. Without ``device_damping`` no
+            wall is passive but the one of no gains.
+
+        Raises: ValueError also for a ``device`` other than one mass, and for filters that are not
+        stable, or do not pass a constant position.
+
+        Source: sec. VII of Hulin, Preusche, Hirzinger (2008); Colgate and Schenkel (1997) for the
+        difference and whole delays; lemma C6 of docs/proofs.md.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
+            >>> loop.is_passive(190.0, 0.0), loop.is_passive(210.0, 0.0)
+            (True, False)
+        """
+        wall = passive_wall(self.in_floats())
+        gains = checked_number("stiffness", stiffness), checked_number("damping", damping)
+        return wall.is_passive(*gains)
+
+    def passive_region(self, *, tolerance: float = 1e-4) -> PassiveRegion:
+        """The set of all walls that are passive: ``is_passive``.
+
+        Args:
+            tolerance: how far the region may bulge beyond its outline, as a share of its size; at
+                least 1e-8.
+
+        Raises: as ``is_passive``.
+
+        Source: as of ``is_passive``.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(
+            ...     device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=1e-3,
+            ...     velocity=jaxstab.Velocity.difference(window=0.02),
+            ... )
+            >>> region = loop.passive_region()
+            >>> print("{:.1f} N/m at {:.3f} N s/m".format(*region.stiffest))
+            67.1 N/m at 0.001 N s/m
+        """
+        tolerance = checked_number("tolerance", tolerance, 1e-8)
+        return passive_region_of(passive_wall(self.in_floats()), tolerance)
 
     def jitter_margin(
         self,

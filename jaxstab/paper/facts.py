@@ -33,7 +33,7 @@ from jaxstab.model.balls import Factored, ball_triple, known_out
 from jaxstab.model.device.parts import remembered
 from jaxstab.model.loop import LoopParameters, unit_loop
 from jaxstab.numbers import checked, require_together, require_x64, without_noise
-from jaxstab.paper.rules import passive_region
+from jaxstab.paper.passive import passive_region
 from jaxstab.region.region import stable_region
 from jaxstab.region.stable_set import RegionStatus, StableRegion, printed_extremes
 from jaxstab.shown import Printed
@@ -201,7 +201,7 @@ def region_facts(
     }
     if radius == 1.0:
         facts["largest_passive_alpha"] = _point(
-            passive_region(delta=delta, delay=delay, tolerance=fine).max_alpha, extent
+            passive_region(delta=delta, delay=delay, tolerance=fine).stiffest, extent
         )
         for percent, level in validity_levels.items():
             limit = linear_validity(level, gamma=gamma, delta=delta, delay=delay)

@@ -322,9 +322,9 @@ def test_passive_outline_is_convex_proved_and_tight(delay):
     assert not np.any(region.contains(*(outline.T * (1 + 1e-6)))[outline[:, 0] > 1e-12])
     middles = (outline + 0.5 * edges)[:-1]  # the last edge is alpha = 0
     outwards = (edges[:, ::-1] * [1, -1] / np.linalg.norm(edges, axis=1, keepdims=True))[:-1]
-    beyond = middles + region.tolerance * region.delta * outwards
+    beyond = middles + region.tolerance * region.wall.damper * outwards
     assert not np.any(region.contains(*beyond.T))
-    assert tuple(region.max_alpha) in map(tuple, outline)
+    assert tuple(region.stiffest) in map(tuple, outline)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.5, 1.0, 2.25])
@@ -368,7 +368,7 @@ def test_without_physical_damping_no_wall_is_passive():
     region = passive_region(delta=0.0, delay=1.0)
     assert region.outline.shape == (0, 2)
     assert not np.any(region.contains(np.array([0.0, 0.1]), 0.0))
-    assert region.max_alpha.tolist() == [0.0, 0.0]
+    assert region.stiffest.tolist() == [0.0, 0.0]
 
 
 def test_a_wall_of_negative_stiffness_is_not_passive():

@@ -90,6 +90,7 @@ _OF_WALL = (
     ),
     Template("", of="margins_over_frequency"),
     MARGINS_ROW,
+    Template("passive", ("{passive}",)),
     Template("settling time (2 %)", ("not proved within {horizon}", "{settling_time_2_percent}")),
     Template(
         "encoder chatter",
@@ -152,6 +153,8 @@ def check_walls(scene: Scene, *, in_full: bool = True) -> GainAnswer:
             words = of_many if count > 1 or lost else None
         told = {"measures_are": words if scene.wanted.measures else None}
         is_usable = True
+        if controller.has_one_delay and wall.verdict == Verdict.STABLE:
+            told["passive"] = _passive_in_words(corners[0], wall.stiffness, wall.damping)
         if margins and wall.verdict == Verdict.STABLE:
             pair = wall.stiffness, wall.damping
             told["usable"], is_usable = usable_in_words(tried, pair, margins)
@@ -164,6 +167,19 @@ def check_walls(scene: Scene, *, in_full: bool = True) -> GainAnswer:
         ranges = _RANGES + ", of constant delays" * (not controller.has_one_delay)
     values = {"inputs": basis_of(scene), "walls": checked}
     return GainAnswer(values, remarks={"ranges": ranges}, short=_WALLS, columns=_COLUMNS)
+
+
+def _passive_in_words(loop: HapticLoop, stiffness: float, damping: float) -> str | None:
+    """Whether a wall is passive, which no hand changes; None where no wall is known to be."""
+    words = {
+        True: "yes: stable with every passive hand",
+        False: "no: some passive hand can draw energy from it",
+        None: "not proved",
+    }
+    try:
+        return words[loop.is_passive(stiffness, damping)]
+    except ValueError:
+        return None
 
 
 _HORIZON = 2**17  # samples within which settling is looked for

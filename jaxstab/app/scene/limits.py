@@ -282,6 +282,11 @@ _LIMITS = (
     _STIFFEST("largest stiffness", "best", more="[, hand {hand}]"),
     _STIFFEST("for all hands", "all_hands"),
     *usable_rows("stiffness", "damping", "[, hand {hand}]"),
+    Template(
+        "stiffest passive",
+        ("{largest_stiffness} at {at_damping}", "no wall: the device has no damper"),
+        "passive",
+    ),
     Template("note", ("{reached}",)),
 )
 _HINT = Template("islands", ("{isolated}: see --islands",))
@@ -310,8 +315,9 @@ def scene_limits(scene: Scene, *, islands: bool = False) -> GainAnswer:
     They are those of the hand at its lowest values; ``all_hands`` has all of them. Over a range of
     delays that are constant the best wall, the only limit, is for all hands. Where a safety is
     wanted, all limits are multiplied by it, towards small gains, and islands, which have no such
-    side, are left out. The linear rule and the passive limit are those of the difference over one
-    sample, and left out for others. The short text has a row for each of the ``islands`` on demand.
+    side, are left out. The linear rule is that of the difference over one sample, and left out for
+    others; passive walls are those of devices of one mass that have a damper. The short text has a
+    row for each of the ``islands`` on demand.
     """
     if not scene.controller.has_one_delay:
         return _over_delays(scene)
@@ -341,7 +347,7 @@ def scene_limits(scene: Scene, *, islands: bool = False) -> GainAnswer:
             "usable": usable.largest() if usable else {},
             "reached": None if is_reached else "small gains are not stable",
             "islands": numbered(map(GainAnswer, isles)),
-            "passive": _passive(loop, stable) if has_rules else None,
+            "passive": _passive(loop, stable.safety),
             "linear_rule": _linear_rule(stable, limits) if has_rules and is_any_stable else None,
             "windows": _other_windows(loop, stable) if scene.controller.velocity is None else {},
             "at_given_damping": stable.at(of_b, wanted.at_damping),
@@ -428,18 +434,25 @@ def _linear_rule(stable: StableGains, limits: Limits[float]) -> GainAnswer:
 
 
 def passive_walls(loop: HapticLoop) -> loops.Floats:
-    """The outline (K, B) of the walls that are passive with the damping of a loop of one mass."""
-    own = loop.device_damping * loop.sample_time / loop.mass
-    corners = paper.passive_region(delta=own, delay=loop.delay_samples).outline
-    return np.column_stack([loop.stiffness(corners[:, 0]), loop.damping(corners[:, 1])])
+    """The outline (K, B) of the passive walls; empty where none is known."""
+    try:
+        return loop.passive_region().outline
+    except ValueError:
+        return np.zeros((0, 2))
 
 
-def _passive(loop: HapticLoop, stable: StableGains) -> GainAnswer:
-    walls = passive_walls(loop)
-    stiffness, damping = walls[np.argmax(walls[:, 0])].tolist() if len(walls) else (0.0, 0.0)
-    allows = partial(stable.is_stable, loop.gains[0])
-    wall = Gains(*printed_pair(stable.safety * stiffness, damping, allows))
-    return replace(loops.stiffest_wall(wall), is_stable=True)  # there may be none
+def _passive(loop: HapticLoop, safety: float) -> GainAnswer | None:
+    try:
+        stiffest = loop.passive_region().stiffest
+    except ValueError:
+        return None
+
+    def is_passive(stiffness: float, damping: float) -> bool:
+        return bool(loop.is_passive(stiffness, damping))
+
+    stiffness, damping = stiffest.tolist()
+    pair = printed_pair(safety * stiffness, damping, is_passive) if stiffness else (nan, nan)
+    return replace(loops.stiffest_wall(Gains(*pair)), is_stable=True)  # there may be none
 
 
 def _other_windows(loop: HapticLoop, stable: StableGains) -> dict[str, GainAnswer]:
