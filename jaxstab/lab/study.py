@@ -103,7 +103,7 @@ def shares(study: "Dataset", *, confidence: float = 0.95) -> "Dataset":
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
         >>> over = {"delay": (0.0, 2e-3, 3), "hand_stiffness": "lognormal:300:1.5"}
-        >>> study = jaxstab.study(loop, over, walls={"stiff": (20000.0, 20.0)}, samples=50)
+        >>> study = jaxstab.study(loop, over, walls={"stiff": (20000.0, 20.0)}, samples=20)
         >>> jaxstab.shares(study).share.sel(wall="stiff").values
         array([1., 0., 0.])
     """
