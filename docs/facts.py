@@ -92,7 +92,7 @@ STATED = {
         *("of 8 s, with pushes that press 1 to 1,000 steps deep", "need more than 8 s"),
     ],
     "docs/explorer.md": ["for 4 s, pushed from"],
-    "docs/frequency.md": ["1.3 to 2 is usual", "a lag of nearly 180 degrees"],
+    "docs/frequency.md": ["1.3 to 2 is usual"],
     "docs/identify.md": [
         *("three times the friction", "kp that is ten times too large"),
         "10 to 60 s, 2,000 to 64,000 rows",
@@ -115,6 +115,7 @@ STATED = {
     "docs/recipes/openhaptics.md": ["1 N/mm is 1,000 N/m, and 0.001 N s/mm"],
     "docs/robots.md": ["up to 1 % of the growth"],
     "docs/studies.md": ["median of 2,000 hands"],
+    "docs/usable.md": ["a lag of nearly 180 degrees"],
     "docs/which.md": ["a phase margin of 30 degrees"],
 }
 
@@ -160,10 +161,7 @@ def facts() -> dict[str, list[str]]:
             f"would be {plain:,} N/m",
             f"period ({0.5 / 60.0:.4f} s)",
         ],
-        "docs/frequency.md": [
-            f"{MOST_BITS:,} bits",
-            f"a phase margin of {degrees(2.0 * asin(0.25)):.0f} degrees",  # of |S| <= 2
-        ],
+        "docs/frequency.md": [f"{MOST_BITS:,} bits"],
         "docs/gains.md": [f"{1e4 * 4e-3:.0f} N s/m here"],
         "docs/guide.md": [f"{_for_all_hands():,} N/m is proved", _pulls()],
         "docs/identify.md": [_log(), f"a mass of {0.25 * 1e6:,.0f} kg (time in ms)"],
@@ -190,6 +188,11 @@ def facts() -> dict[str, list[str]]:
         "docs/robots.md": [*_robots()],
         "docs/studies.md": [
             f"{erf(sqrt(0.5)):.0%} are between 200 and {300 * 1.5:g}".replace("%", " %"),
+        ],
+        "docs/usable.md": [
+            f"a phase margin of {degrees(2.0 * asin(0.25)):.0f} degrees",  # of |S| <= 2
+            f"{_OMEGA['device_mass']} kg, {_OMEGA['device_damping']} N s/m, 1 kHz",
+            "velocity over 20 ms",
         ],
         "docs/transforms.md": [
             f"at least {_FEWEST[_DEGREES[0]]} loops ({_FEWEST[41]} above degree {_DEGREES[3]}, "

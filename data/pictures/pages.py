@@ -1,4 +1,4 @@
-"""Draw pictures of four pages, such as docs/frequency.md: python data/pictures/pages.py."""
+"""Draw pictures of five pages, such as docs/frequency.md: python data/pictures/pages.py."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -30,6 +30,37 @@ def frequency(loop: jaxstab.HapticLoop) -> None:
     loop.plot("nyquist", 1000.0, 12.0, ax=plane)
     loop.plot("bode", 1000.0, 12.0, ax=magnitudes)
     figure.savefig(DOCS / "frequency.png", dpi=110)
+
+
+def usable(loop: jaxstab.HapticLoop) -> None:
+    """Of one device: the edge of stability, walls with margins, and passive walls."""
+    figure, ax = pyplot.subplots(figsize=(8, 5), layout="constrained")
+    edge = loop.limits()
+    damping = np.linspace(0.0, edge.damping, 400)
+    stiffness = loop.stiffness_limits(damping)[:, 1]
+    label = f"stable: up to {int(edge.stiffness):,} N/m, no margin there"
+    ax.fill_betweenx(damping, 0.0, stiffness, color="#cfe6f5", label=label)
+    ax.plot(stiffness, damping, color=BLUE, linewidth=2)
+    for margins, words, color in (
+        ({"gain_margin": 2.0}, "K and B may double", "#9ccbe8"),
+        ({"phase_margin": 20.0}, "20 degrees of phase margin", "#f6dcc2"),
+        ({"sensitivity": 2.0}, "peak of |S| of 2 at most", "#b9dcb0"),
+        ({"phase_margin": 45.0}, "45 degrees of phase margin", "#eec093"),
+    ):
+        best = loop.limits(**margins)
+        rows = best.second.value * np.linspace(0.0, 1.0, 81)[:-1]
+        ends = [loop.intervals(damping=row, **margins).inner for row in rows.tolist()]
+        widest = [max((high for _, high in row), default=0.0) for row in ends]
+        label = f"{words}: up to {int(best.first.value):,} N/m"
+        ax.fill_betweenx(rows, 0.0, widest, color=color, label=label)
+    passive = loop.passive_region()
+    inset = ax.inset_axes([0.73, 0.3, 0.25, 0.3])
+    inset.fill(*passive.outline.T, color="#7d8a99")
+    inset.set_title(f"passive: up to {int(passive.stiffest[0])} N/m", fontsize=8)
+    inset.tick_params(labelsize=7)
+    ax.legend(fontsize=8, frameon=False, loc="upper right")
+    ax.set(xlim=(0, 3100), ylim=(0, 55), xlabel="stiffness K (N/m)", ylabel="damping B (N s/m)")
+    figure.savefig(DOCS / "usable.png", dpi=130)
 
 
 def which(loop: jaxstab.HapticLoop) -> None:
@@ -97,5 +128,6 @@ if __name__ == "__main__":
     )
     quickstart(omega)
     frequency(omega)
+    usable(omega)
     which(omega)
     joints(Scene.from_file(ROOT / "data" / "scenes" / "joint.toml"))
