@@ -24,8 +24,9 @@ import jaxstab
 from benchmarks import record
 from benchmarks.table import DAMPINGS, moving_delays
 from jaxstab import HapticLoop, Velocity, Verdict
-from jaxstab.app.pictures.style import DAMPING_LABEL, STIFFNESS_LABEL, plot_moving
-from jaxstab.loop.jitter import MovingLoop
+from jaxstab.app.pictures.scene import draw_moving
+from jaxstab.drawing import DAMPING_LABEL, STIFFNESS_LABEL
+from jaxstab.loop.jitter import Jitter
 from tests.truth.moving import LOST, Moving, growth
 
 PICTURE = Path(__file__).resolve().parents[1] / "docs" / "moving_delays.png"
@@ -76,7 +77,7 @@ def picture(path: Path = PICTURE) -> None:
     for row, (low, high) in zip(figure.subplots(2, 3), ((0.8, 1.2), (1.0, 2.0)), strict=True):
         for panel, window in zip(row, (1, 5, 20), strict=True):
             loop = omega(window, low)
-            plot_moving(MovingLoop.from_loop(loop, (low * _T, high * _T)), panel)
+            draw_moving(Jitter.from_loop(loop, (low * _T, high * _T)), panel)
             panel.set(xlim=(0.0, None), ylim=(0.0, None))
             panel.set(xlabel=STIFFNESS_LABEL, ylabel=DAMPING_LABEL)
             panel.set_title(f"window {window}, delays {low:g} to {high:g}", fontsize=9)

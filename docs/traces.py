@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from jaxstab import HapticLoop, Velocity, trace_boundary
-from jaxstab.app.pictures.style import BLACK, BLUE, ORANGE
+from jaxstab.drawing import BLACK, BLUE, ORANGE
 from jaxstab.region.pieces import Branch
 
 DAMPING = 10.0  # of the wall, in N s/m

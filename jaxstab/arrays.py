@@ -60,6 +60,13 @@ def is_traced(value: object) -> bool:
     return is_jax(value) and isinstance(value, sys.modules["jax"].core.Tracer)
 
 
+def load_jax() -> Any:
+    """Return JAX, which is imported where it is first needed: that takes a second."""
+    import jax
+
+    return jax
+
+
 def is_any_traced(*trees: object) -> bool:
     """True if JAX traces a leaf of nested values."""
     _register_once()
@@ -77,9 +84,7 @@ def namespace(*values: object) -> Any:
     """Return ``jax.numpy`` if a leaf of the values is a JAX array or a tracer, else ``numpy``."""
     _register_once()
     if is_any_jax(values):
-        import jax.numpy
-
-        return jax.numpy
+        return load_jax().numpy
     return np
 
 
@@ -166,8 +171,7 @@ def _register_once() -> None:
     """Register the pytrees with JAX, if it is loaded by now."""
     if not _unregistered or not hasattr(sys.modules.get("jax"), "Array"):
         return
-    import jax
-
+    jax = load_jax()
     while _unregistered:
         cls = _unregistered.pop()
         if hasattr(cls, "tree_flatten"):
@@ -250,18 +254,14 @@ def power_of_two_below_inverse(x: Array) -> Array:
 def bits(x: Array) -> Array:
     """Return the bits of float64 numbers, as integers."""
     if is_jax(x):
-        from jax import lax
-
-        return lax.bitcast_convert_type(x, np.int64)
+        return load_jax().lax.bitcast_convert_type(x, np.int64)
     return np.asarray(x, np.float64).view(np.int64)
 
 
 def floats(integers: Array) -> Array:
     """Return the float64 numbers that have these bits."""
     if is_jax(integers):
-        from jax import lax
-
-        return lax.bitcast_convert_type(integers, np.float64)
+        return load_jax().lax.bitcast_convert_type(integers, np.float64)
     return np.asarray(integers, np.int64).view(np.float64)
 
 
@@ -269,9 +269,7 @@ def constant(tree: Tree) -> Tree:
     """Return the values without their derivatives."""
     if namespace(tree) is np:
         return tree
-    from jax import lax
-
-    return lax.stop_gradient(tree)
+    return load_jax().lax.stop_gradient(tree)
 
 
 def repeat(
@@ -282,9 +280,7 @@ def repeat(
         for _ in range(int(count)):
             start = step(start)
         return start
-    from jax import lax
-
-    return lax.fori_loop(0, count, lambda _, state: step(state), start)
+    return load_jax().lax.fori_loop(0, count, lambda _, state: step(state), start)
 
 
 def repeat_and_keep(
@@ -297,9 +293,7 @@ def repeat_and_keep(
             start, gift = step(start)
             history.append(gift)
         return start, tree_map(lambda *values: np.array(values), *history)
-    from jax import lax
-
-    return lax.scan(lambda state, _: step(state), start, length=count)
+    return load_jax().lax.scan(lambda state, _: step(state), start, length=count)
 
 
 def repeat_while(
@@ -310,9 +304,7 @@ def repeat_while(
         while is_open(start):
             start = step(start)
         return start
-    from jax import lax
-
-    return lax.while_loop(is_open, step, start)
+    return load_jax().lax.while_loop(is_open, step, start)
 
 
 def with_values(array: Array, indices: np.ndarray, values: Array) -> Array:
@@ -329,9 +321,7 @@ def solved(matrix: Array, values: Array) -> Array:
     LAPACK's batches, which JAX calls for this, can wait for each other for ever: on two cores two
     of them at a time occupy both threads that are to do their work (jaxlib 0.10.2).
     """
-    import jax.numpy as jnp
-
-    size = len(matrix)
+    jnp, size = load_jax().numpy, len(matrix)
     rows = jnp.concatenate([matrix, values], axis=1)
     for column in range(size):
         pivot = column + jnp.argmax(jnp.abs(rows[column:, column]))

@@ -17,6 +17,7 @@ import os
 import sys
 from collections import defaultdict, deque
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache, partial, wraps
 from itertools import chain, islice, pairwise
@@ -35,6 +36,7 @@ from jaxstab.arrays import (
     is_jax,
     is_traced,
     leaves,
+    load_jax,
     namespace,
     tree_map,
 )
@@ -94,11 +96,9 @@ def compiled(
     def decorate(kernel: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
         @cache
         def program(is_wide: bool) -> Callable[..., Any]:
-            import jax
-
             # In bits; XLA prefers half of what the CPU has.
             extra = compiler_options({"xla_cpu_prefer_vector_width": 512}) if is_wide else None
-            return jax.jit(kernel, static_argnames=tuple(static), compiler_options=extra)
+            return load_jax().jit(kernel, static_argnames=tuple(static), compiler_options=extra)
 
         @wraps(kernel)
         def call(*arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
@@ -154,8 +154,7 @@ def _size(arrays: list[Any]) -> int:
 def in_float64(function: Callable[..., Result], *arguments: Any, **options: Any) -> Result:
     """Call a JAX function in float64, whatever its flags say; NumPy arrays in and out."""
     # The arrays that come back share the memory of XLA and are read-only.
-    import jax.numpy as jnp
-
+    jnp = load_jax().numpy
     namespace()  # tells JAX of our pytrees
     with own_settings():
         arrays = tree_map(lambda leaf: leaf if np.ndim(leaf) == 0 else jnp.asarray(leaf), arguments)
@@ -169,8 +168,7 @@ def own_settings() -> Iterator[None]:
 
     NaN and infinity are answers, and NumPy's rules of promotion hold for both namespaces.
     """
-    import jax
-
+    jax = load_jax()
     with (
         jax.enable_x64(True),
         jax.debug_nans(False),
@@ -242,8 +240,6 @@ def ahead(
     Few items wait for their turn, so few are held in memory. What runs in Python for long belongs
     into the making of items: threads that take turns in it wait for each other.
     """
-    from concurrent.futures import ThreadPoolExecutor  # slow to import
-
     every = iter(items)
     head = list(islice(every, 1))
     if not head:
@@ -269,9 +265,8 @@ def _threads() -> int:
 
 def is_on_cpu() -> bool:
     """True if JAX computes on the CPU."""
-    import jax
-
-    return jax.default_backend() == "cpu"
+    is_cpu: bool = load_jax().default_backend() == "cpu"
+    return is_cpu
 
 
 def compiler_options(wanted: dict[str, Any]) -> dict[str, Any] | None:
@@ -283,8 +278,7 @@ def compiler_options(wanted: dict[str, Any]) -> dict[str, Any] | None:
 
 @cache
 def _has_option(name: str, value: Any) -> bool:
-    import jax
-
+    jax = load_jax()
     try:  # XLA lists its options nowhere, and refuses one that it does not know
         jax.jit(lambda x: x, compiler_options={name: value}).lower(0.0).compile()
     except jax.errors.JaxRuntimeError:
@@ -333,8 +327,7 @@ def over_tiles(kernel: Callable[..., Result], arguments: Any, tile: int = TILE) 
     xp = namespace(arguments)
     if xp is np:
         return kernel(*arguments)
-    import jax
-
+    jax = load_jax()
     leaves_of, structure = jax.tree.flatten(arguments)
     shape = xp.broadcast_shapes(*(xp.shape(leaf) for leaf in leaves_of))
     size = prod(shape)
@@ -415,12 +408,11 @@ def use_compilation_cache(folder: str | os.PathLike[str] | None = None) -> Path:
     }
     os.environ |= {name.upper(): str(value) for name, value in options.items()}
     if "jax" in sys.modules:
-        import jax
         from jax.experimental.compilation_cache import compilation_cache
 
         compilation_cache.reset_cache()  # else the first program's folder, or none, remains
         for name, value in options.items():
-            jax.config.update(name, value)
+            load_jax().config.update(name, value)
     return path
 
 
@@ -445,8 +437,7 @@ def on_host(
         return function(*arrays)
     if not is_any_traced(arrays):  # JAX calls back for no array that lies on several devices
         return tree_map(xp.asarray, function(*map(np.asarray, arrays)))
-    import jax
-
+    jax = load_jax()
     shapes = tree_map(lambda dtype: jax.ShapeDtypeStruct(shape, dtype), like)
     return jax.pure_callback(
         lambda *given: function(*map(np.asarray, given)),

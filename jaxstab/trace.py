@@ -26,7 +26,7 @@ import numpy as np
 from contourpy import contour_generator
 from jaxtyping import Bool, Complex128, Float64, Int8, Int64
 
-from jaxstab.arrays import Array, Numbers, is_traced, namespace
+from jaxstab.arrays import Array, Numbers, is_traced, load_jax, namespace
 from jaxstab.batches import compiler_options, lists, own_settings
 from jaxstab.conventions import AXES, Status
 from jaxstab.model import (
@@ -331,9 +331,9 @@ def _equations(u: Array, ends: Array, branch: Array, maps: Monomials, filters: R
 @cache
 def _corrector() -> Callable[..., tuple[Array, Array]]:
     """Return the compiled program that solves for the point on the edge of each lane."""
-    import jax
     import optimistix
 
+    jax = load_jax()
     solver: Any = optimistix.Newton(rtol=0.0, atol=_CONVERGED)
 
     def correct(start: Array, ends: Array, branch: Array, *plane: Any) -> tuple[Array, Array]:

@@ -657,7 +657,8 @@ def _followed(family: Family, best: Pair, kind: Array) -> Pair:
 @cache
 def _chosen() -> Any:
     import jax
-    import jax.numpy as jnp
+
+    jnp = jax.numpy
 
     @jax.custom_jvp
     def chosen(solution: list[Array], scanned: list[Array], exact: Array) -> list[Array]:

@@ -235,7 +235,7 @@ def test_no_file_is_longer_than_one_subject() -> None:
 def test_files_outside_of_one_do_not_name_a_kind_of_filter() -> None:
     classes = [kind for kind in vars(filters).values() if isclass(kind)]
     kinds = {kind.__name__ for kind in classes if issubclass(kind, filters.Section)}
-    names = kinds - {"Section", "Rational"}  # a device has a Rational
+    names = kinds - {"Section"}
     words = {repr(kind.kind).replace("'", '"') for kind in filters.LOW_PASSES}
     pattern = re.compile("|".join([*(rf"\b{name}\b" for name in sorted(names)), *sorted(words)]))
     package = Path(jaxstab.__file__).parent

@@ -1,3 +1,5 @@
+from . import build as build
+from . import spec as spec
 from .build import build_atlas as build_atlas
 from .query import Atlas as Atlas
 from .query import AtlasAnswer as AtlasAnswer

@@ -19,10 +19,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from jaxstab import model, point
 from jaxstab.arrays import Array, named
 from jaxstab.atlas import file
+from jaxstab.atlas.picture import plot_verdicts, raster
 from jaxstab.atlas.table import PLANT, AlphaLimits, LimitTable
 from jaxstab.conventions import AXES, Status, Verdict
+from jaxstab.drawing import (
+    ALPHA_LABEL,
+    BETA_LABEL,
+    DAMPING_LABEL,
+    STIFFNESS_LABEL,
+    hand_label,
+    html_of,
+)
 from jaxstab.durable import identity_of, named_errors, target_of
 from jaxstab.numbers import checked, require_kind, require_together
 from jaxstab.shown import table_text
@@ -157,12 +167,10 @@ class Atlas:
             named(codes.reshape(shape), Verdict), named(status.reshape(shape), QueryStatus)
         )
 
-    def _computed(self, point: Sequence[Floats]) -> NDArray[np.int8]:
-        from jaxstab.point import verdict
-
+    def _computed(self, places: Sequence[Floats]) -> NDArray[np.int8]:
         velocity, position = self.filters or (None, None)
-        alpha, beta, gamma, delta, delay = point
-        codes = verdict(
+        alpha, beta, gamma, delta, delay = places
+        codes = point.verdict(
             alpha,
             beta,
             gamma=gamma,
@@ -229,8 +237,6 @@ class Atlas:
         )
 
     def _repr_html_(self) -> str:
-        from jaxstab.app.pictures.style import html_of
-
         return html_of(self, self.plot)
 
     def plot(
@@ -252,9 +258,17 @@ class Atlas:
         Raises: ValueError if gamma, delta or delay is outside of the atlas, or nothing is stable
         there.
         """
-        from jaxstab.app.pictures.plane import plot_atlas
-
-        return plot_atlas(self, ax, gamma, delta, delay)
+        table = self.table
+        hand = (
+            float(table.gamma[table.gamma.size // 2]) if gamma is None else gamma,
+            float(table.delta[table.delta.size // 2]) if delta is None else delta,
+        )
+        samples = float(table.delay[0]) if delay is None else delay
+        alpha, beta = raster(table, *hand, samples)
+        plant = dict(zip(PLANT, (*hand, samples), strict=True))
+        plane = alpha, beta, self.query(alpha, beta[:, None], **plant).verdict
+        words = f"{hand_label(*hand)}, $d = {samples:g}$"
+        return plot_verdicts(ax, plane, (ALPHA_LABEL, BETA_LABEL), self.filters_in_words, words)
 
 
 def open_atlas(path: str | PathLike[str]) -> Atlas:
@@ -295,9 +309,8 @@ class LoopAtlas:
 
     def __init__(self, atlas: Atlas, loop: Any) -> None:
         from jaxstab.atlas.spec import AtlasSpec, words_of
-        from jaxstab.model.loop import LoopParameters
 
-        require_kind("loop", loop, LoopParameters, "HapticLoop")
+        require_kind("loop", loop, model.LoopParameters, "HapticLoop")
         self.atlas, self.loop = atlas, loop.in_floats()  # by its properties all is converted
         if self.loop.body is None:
             raise TypeError(
@@ -342,9 +355,13 @@ class LoopAtlas:
 
         Raises: ValueError if the loop is outside of the atlas. Source: as ``query``.
         """
-        from jaxstab.app.pictures.plane import plot_walls
-
-        return plot_walls(self, ax)
+        loop, atlas = self.loop, self.atlas
+        alpha, beta = raster(atlas.table, *loop.slice.values())
+        stiffness, damping = loop.stiffness(alpha), loop.damping(beta)
+        plane = stiffness, damping, self.query(stiffness, damping[:, None]).verdict
+        words = f"{loop.mass:g} kg, delay {1e3 * loop.delay:g} ms"
+        labels = STIFFNESS_LABEL, DAMPING_LABEL
+        return plot_verdicts(ax, plane, labels, atlas.filters_in_words, words)
 
     def _wall(self, stiffness: Numbers, damping: Numbers) -> tuple[Floats, Floats]:
         gains = _checked((stiffness, damping), ("stiffness", "damping"))

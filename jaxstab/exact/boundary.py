@@ -35,7 +35,7 @@ from jaxstab.exact.line import (
 from jaxstab.exact.roots import are_inside, is_sharp, wall_verdict
 from jaxstab.model import LoopParameters
 from jaxstab.model.affine import AffineParts, affine_triple
-from jaxstab.model.balls import BallLoop, Factored, Triple, ball_loop
+from jaxstab.model.balls import Factored, LoopFactors, Triple, ball_loop
 from jaxstab.model.device.parts import FIRST_BITS, MOST_BITS, decided, remembered, working_precision
 
 Angles = Float64[np.ndarray, " _"]
@@ -49,12 +49,12 @@ class ScaledLoop(NamedTuple):
     radius: float = 1.0
 
     @remembered()
-    def balls(self) -> BallLoop:
+    def balls(self) -> LoopFactors:
         """The parts of the loop in balls of the precision that is set."""
         if isinstance(self.loop, LoopParameters):
             own = ball_loop(self.loop)
         else:
-            own = BallLoop.from_triple(affine_triple(self.loop))
+            own = LoopFactors.from_triple(affine_triple(self.loop))
         return own.scaled(self.units, self.radius)
 
     def triple(self) -> Triple:

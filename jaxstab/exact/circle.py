@@ -226,7 +226,7 @@ class _Cells:
         """The angle at t of a cell, from -1 to 1."""
         return arb.pi() * (2 * cell + 1) / (2 * self.count) + self.half * t
 
-    def polynomials(self, chosen: list[int]) -> "dict[int, _Part]":
+    def polynomials(self, chosen: list[int]) -> "dict[int, _CellModel]":
         """The Taylor polynomials of cells, in t."""
         if not chosen:
             return {}
@@ -248,23 +248,23 @@ class _Cells:
             taylor = [term for pair in zip(*sides, strict=True) for term in pair]
             signs = cycle((1, -1, -1, 1))  # cos, -sin, -cos, sin
             p = arb_poly([s * term for s, term in zip(signs, taylor, strict=False)])
-            parts[cell] = _Part(p, arb(0, missed), len(taylor))
+            parts[cell] = _CellModel(p, arb(0, missed), len(taylor))
         return parts
 
 
-class _Part(NamedTuple):
+class _CellModel(NamedTuple):
     """A cosine sum f on a cell, t from -1 to 1: a polynomial P of so many terms, and |f - P|."""
 
     value: "arb_poly"
     missed: "arb"
     terms: int
 
-    def derivative(self, times: int = 1) -> "_Part":
+    def derivative(self, times: int = 1) -> "_CellModel":
         """f', or a higher derivative."""
         value, missed = self.value, self.missed
         for _ in range(times):
             value, missed = value.derivative(), missed * self.terms
-        return _Part(value, missed, self.terms)
+        return _CellModel(value, missed, self.terms)
 
     def on(self, centre: "arb", half: "arb") -> int:
         """The order of the first derivative that surely has no zero around a centre, at most 5."""
@@ -282,7 +282,7 @@ class _Part(NamedTuple):
         return sign_of(self.value(t) + self.missed)
 
 
-def _end(index: int, signs: list[int], parts: "dict[int, _Part]") -> tuple[int, int]:
+def _end(index: int, signs: list[int], parts: "dict[int, _CellModel]") -> tuple[int, int]:
     """By how much the end before a cell is moved, in 72ths of a cell, and the sign there."""
     moves = 9  # of an end
     known = [signs[cell] for cell in (index - 1, index) if 0 <= cell < len(signs)]
@@ -308,7 +308,9 @@ def _sign_on_cell(cells: _Cells, cell: int) -> int:
     return sign_of(f) if abs(f) * 24 > more else 0
 
 
-def _isolated(part: _Part, first: "tuple[arb, int]", last: "tuple[arb, int]") -> list[Zero] | None:
+def _isolated(
+    part: _CellModel, first: "tuple[arb, int]", last: "tuple[arb, int]"
+) -> list[Zero] | None:
     """The zeros of a part between two places with their signs, from left to right, in t."""
     found: list[Zero] = []
     intervals = [(first, last)]
@@ -341,7 +343,7 @@ def _isolated(part: _Part, first: "tuple[arb, int]", last: "tuple[arb, int]") ->
     return found
 
 
-def _around_zero(part: _Part, a: "arb", b: "arb", distance: "arb") -> "list[arb]":
+def _around_zero(part: _CellModel, a: "arb", b: "arb", distance: "arb") -> "list[arb]":
     """Two places at a distance from the one zero of a monotone part, those in the interval."""
     zero = _refined(part, a, b, part.sign(b))
     if zero is None:
@@ -350,7 +352,7 @@ def _around_zero(part: _Part, a: "arb", b: "arb", distance: "arb") -> "list[arb]
     return [place for place in places if a < place < b]
 
 
-def _known_place(part: _Part, a: "arb", b: "arb") -> "tuple[arb, int]":
+def _known_place(part: _CellModel, a: "arb", b: "arb") -> "tuple[arb, int]":
     """A place about the middle of an interval, and the sign there, if one can be known."""
     for share in range(6, 11):  # 16ths of an interval, where it is divided
         place = (a + (b - a) * share / 16).mid()
@@ -360,7 +362,7 @@ def _known_place(part: _Part, a: "arb", b: "arb") -> "tuple[arb, int]":
     return place, sign
 
 
-def _refined(part: _Part, a: "arb", b: "arb", sign_b: int) -> Zero | None:
+def _refined(part: _CellModel, a: "arb", b: "arb", sign_b: int) -> Zero | None:
     """The zero of a monotone part with unlike signs at its ends."""
     refinements = 80
     low, high, slope = a.mid(), b.mid(), part.derivative()

@@ -62,7 +62,7 @@ from jaxstab.conventions import Status
 from jaxstab.exact.circle import is_patient, is_positive, zeros
 from jaxstab.exact.line import OnCircle, real_quotient_angles, stable_pencil
 from jaxstab.exact.roots import Number, are_inside, is_sharp, sign_of
-from jaxstab.model.balls import BallLoop, Factored
+from jaxstab.model.balls import Factored, LoopFactors
 from jaxstab.model.device.parts import FIRST_BITS, decided, working_precision
 from jaxstab.model.device.sampling import OneSample, states_and_force
 
@@ -232,7 +232,7 @@ class DelayMargin(NamedTuple):
 
 
 def delay_margin(
-    loop: Callable[[], BallLoop],
+    loop: Callable[[], LoopFactors],
     sample: Callable[[], OneSample],
     delay: float,
     wall: tuple[float, float],
@@ -248,7 +248,7 @@ def delay_margin(
     short = 5e-10  # of a margin: a box that is reported
     most_boxes = 20_000
     with working_precision(FIRST_BITS):
-        search = _Search(loop(), sample(), delay, wall)
+        search = _DelayedWall(loop(), sample(), delay, wall)
         boxes = search.boxes((0.0, nextafter(pi, 4.0)), (0.0, 1.0))  # with z = -1
         for _ in range(most_boxes):
             if not boxes:
@@ -265,26 +265,26 @@ def delay_margin(
         return DelayMargin(margin, nan, DelayStatus.NOT_SHARP)
 
 
-class _Form(NamedTuple):
+class _CentredForm(NamedTuple):
     """A function over a box: its value in the middle, slopes by theta and values over all of it."""
 
     middle: "acb"
     slope: "acb"
     all: "acb"
 
-    def times(self, other: "_Form") -> "_Form":
+    def times(self, other: "_CentredForm") -> "_CentredForm":
         slope = self.slope * other.all + self.all * other.slope
-        return _Form(self.middle * other.middle, slope, self.all * other.all)
+        return _CentredForm(self.middle * other.middle, slope, self.all * other.all)
 
-    def plus(self, other: "_Form") -> "_Form":
-        return _Form(*map(add, self, other))
+    def plus(self, other: "_CentredForm") -> "_CentredForm":
+        return _CentredForm(*map(add, self, other))
 
 
-class _Search:
+class _DelayedWall:
     """The functions of one wall, over intervals of theta and of the fraction."""
 
     def __init__(
-        self, loop: BallLoop, sample: OneSample, delay: float, wall: tuple[float, float]
+        self, loop: LoopFactors, sample: OneSample, delay: float, wall: tuple[float, float]
     ) -> None:
         self.sample, self.delay = sample, delay
         about_one = arb_poly([1, 1])
@@ -322,14 +322,14 @@ class _Search:
         sizes = [float(move.abs_upper()) for move in moves]
         return [(max(n + fraction[0], self.delay), theta, fraction, sizes[0] > sizes[1])]
 
-    def _force(self, place: "_Form", late: "_Pair") -> _Form:
+    def _force(self, place: "_CentredForm", late: "_Pair") -> _CentredForm:
         """N_f(z), place being z - 1."""
         middle, everywhere = late
         (w, slope, all_w), rising = place, self.whole
         by_w = everywhere(all_w) + all_w * everywhere.derivative()(all_w)
         by_w += rising.derivative()(all_w)
         value = all_w * everywhere(all_w) + rising(all_w)
-        return _Form(w * middle(w) + rising(w), by_w * slope, value)
+        return _CentredForm(w * middle(w) + rising(w), by_w * slope, value)
 
     def _over_fraction(self, fraction: Interval) -> "tuple[_Pair, arb_poly]":
         """N[v(f)] in powers of z - 1, in the middle and over an interval, and its slope.
@@ -358,14 +358,14 @@ class _Search:
         """N[.] of the last column of a matrix, the force's, in powers of z - 1."""
         return self.sample.moved(states_and_force(matrix)[1])(arb_poly([1, 1]))
 
-    def _over_theta(self, theta: Interval) -> tuple[_Form, _Form, _Form]:
+    def _over_theta(self, theta: Interval) -> tuple[_CentredForm, _CentredForm, _CentredForm]:
         everywhere = _around(theta)
         middle = everywhere.mid()
         turn = acb(0, everywhere).exp()
-        place = _Form(acb(0, middle).exp() - 1, acb(0, 1) * turn, turn - 1)
+        place = _CentredForm(acb(0, middle).exp() - 1, acb(0, 1) * turn, turn - 1)
         phases = middle, everywhere
         terms = (_value(term, place, phases) for term in self.above)
-        above = reduce(_Form.plus, terms, _Form(*[acb(0)] * 3))
+        above = reduce(_CentredForm.plus, terms, _CentredForm(*[acb(0)] * 3))
         return place, above, _value(self.below, place, phases)
 
 
@@ -382,29 +382,29 @@ def _about_one(p: Factored) -> Factored:
     return p._replace(rest=p.rest(arb_poly([1, 1])))
 
 
-def _value(p: Factored, place: _Form, phases: "tuple[arb, arb]") -> _Form:
+def _value(p: Factored, place: _CentredForm, phases: "tuple[arb, arb]") -> _CentredForm:
     """A polynomial of which the rest is in powers of z - 1, over an interval of theta."""
     w, slope, all_w = place
-    value = _Form(p.rest(w), p.rest.derivative()(all_w) * slope, p.rest(all_w))
+    value = _CentredForm(p.rest(w), p.rest.derivative()(all_w) * slope, p.rest(all_w))
     for root, count in ((0, p.at_one), (2, p.at_minus_one)):
         for _ in range(count):
-            value = value.times(_Form(w + root, slope, all_w + root))
+            value = value.times(_CentredForm(w + root, slope, all_w + root))
     for n in p.windows:
         value = value.times(_window(n, phases))
     if p.power:
         turns = [(acb(0, p.power) * phase).exp() for phase in phases]
-        value = value.times(_Form(turns[0], acb(0, p.power) * turns[1], turns[1]))
+        value = value.times(_CentredForm(turns[0], acb(0, p.power) * turns[1], turns[1]))
     return value
 
 
-def _window(n: int, phases: "tuple[arb, arb]") -> _Form:
+def _window(n: int, phases: "tuple[arb, arb]") -> _CentredForm:
     """1 + z + ... + z^(n-1): its second derivative by theta is at most 1 + 4 + ... + (n-1)^2."""
     z, spread = acb(0, phases[0]).exp(), phases[1].rad()
     terms = acb_poly([1] * n)
     bend = spread * sum(k**2 for k in range(n))
     middle = terms(z)
     slope = acb(0, 1) * z * terms.derivative()(z) + acb(arb(0, bend), arb(0, bend))
-    return _Form(middle, slope, middle + slope * acb(arb(0, spread)))
+    return _CentredForm(middle, slope, middle + slope * acb(arb(0, spread)))
 
 
 def _least_whole(angle: "arb", theta: Interval, least: float) -> float:
@@ -432,7 +432,10 @@ class SmallGainStatus(Status):
 
 
 def small_gain(
-    loop: Callable[[], BallLoop], late: "Callable[[], list[arb]]", stiffness: float, damping: float
+    loop: Callable[[], LoopFactors],
+    late: "Callable[[], list[arb]]",
+    stiffness: float,
+    damping: float,
 ) -> SmallGainStatus:
     """The verdict on the wall (K, B) for every sequence of delays.
 
@@ -464,7 +467,7 @@ def small_gain(
 
 
 def largest_jitter(
-    loop: Callable[[], BallLoop],
+    loop: Callable[[], LoopFactors],
     late: "Callable[[float], list[arb]]",
     wall: tuple[float, float],
     most: float,

@@ -38,7 +38,7 @@ from jaxstab.exact.roots import (
     real_or_not,
     sign_of,
 )
-from jaxstab.model.balls import BallLoop, Factored, ball_loop
+from jaxstab.model.balls import Factored, LoopFactors, ball_loop
 from jaxstab.model.device.device import in_steps
 from jaxstab.model.device.discrete import held_steps
 from jaxstab.model.device.mechanics import after_impact, equations
@@ -57,7 +57,7 @@ _UP = 1.0 + 1e-15  # for a number that was rounded to float64, or the sum of a f
 Causes = tuple[bool, bool, bool]  # errors of the read position, errors of the force, and friction
 
 
-class Modes(NamedTuple):
+class ModalTerms(NamedTuple):
     """The terms from h_K on: Re(sum_j R_j z_j^t), one z_j of each pair.
 
     sizes, errors: bounds of |R_j|, and of what its float64 is wrong by.
@@ -110,7 +110,7 @@ class Modes(NamedTuple):
         return values, np.repeat(wrong, near.shape[1])
 
 
-class Responses(NamedTuple):
+class WallResponses(NamedTuple):
     """Responses of one wall, some series for each of some inputs.
 
     head: the first terms, to the nearest float64, and in balls for the first response.
@@ -121,7 +121,7 @@ class Responses(NamedTuple):
 
     head: Float64[np.ndarray, "input series term"]
     balls: "arb_poly"
-    modes: Modes | None = None
+    modes: ModalTerms | None = None
     late: int = 0
     growth: float = 0.0
 
@@ -224,7 +224,7 @@ Quotients = list[tuple[Any, list[Any]]]
 """Numerators over p(z), for each input: a factor, and what it multiplies for each series."""
 
 
-class _Wall(NamedTuple):
+class _WallPolynomials(NamedTuple):
     """The loop of one wall, or of two gains without a plant, in balls.
 
     p: p(z), the roots that are known told apart; whole: multiplied out.
@@ -237,7 +237,9 @@ class _Wall(NamedTuple):
     parts: Any = None
 
     @classmethod
-    def from_loop(cls, loop: LoopParameters, stiffness: float, damping: float) -> "_Wall":
+    def from_loop(
+        cls, loop: LoopParameters, stiffness: float, damping: float
+    ) -> "_WallPolynomials":
         parts = _Parts.from_loop(loop)
         p = parts.loop.triple.at(stiffness, damping)
         # An actuator's pole that is a zero of the device is no root of p, but of its states.
@@ -278,7 +280,7 @@ class _Wall(NamedTuple):
         final = parts.pushed(1) / self.whole(1)
         return [(z, [(parts.pushed * (1 / final) - self.whole) // (z - 1)])]
 
-    def responses(self, numerators: Quotients) -> Responses | None:
+    def responses(self, numerators: Quotients) -> WallResponses | None:
         """Responses by their modes; None where poles are not told apart, or not inside."""
         told = real_or_not(isolated_roots(self.p._replace(power=0)))
         if told is None:
@@ -308,9 +310,11 @@ class _Wall(NamedTuple):
         roots = [root for root, _ in chosen]
         rounded = np.array(list(map(complex, roots))), residues
         bounds = sizes + UNDERFLOW, errors + UNDERFLOW, np.array(moduli), np.array(gaps)
-        return Responses(*head, Modes(*rounded, *bounds, list(zip(roots, grid[0, 0], strict=True))))
+        return WallResponses(
+            *head, ModalTerms(*rounded, *bounds, list(zip(roots, grid[0, 0], strict=True)))
+        )
 
-    def by_powers(self, numerators: Quotients, terms: int) -> Responses | None:
+    def by_powers(self, numerators: Quotients, terms: int) -> WallResponses | None:
         """Responses by x^m mod p, with that many terms before; None where m is too large."""
         power, count = _z() % self.whole, 1
         while not _size(power) < 1e-9:
@@ -322,7 +326,7 @@ class _Wall(NamedTuple):
         if head is None:
             return None
         size = _above(_size(power))
-        return Responses(*head, None, late, size / (1.0 - size) * _UP)
+        return WallResponses(*head, None, late, size / (1.0 - size) * _UP)
 
     def _head(self, numerators: Quotients, terms: int) -> "tuple[np.ndarray, arb_poly] | None":
         """The first terms of quotients num/p in powers of 1/z, rounded, and the first in balls.
@@ -361,7 +365,7 @@ class _Parts(NamedTuple):
         hand from 0 on, times p(z)/z and p(z) (z - 1)/z.
     """
 
-    loop: BallLoop
+    loop: LoopFactors
     degree: int
     memory: "arb_poly"
     denominator: "arb_poly"
@@ -440,7 +444,7 @@ def _size(polynomial: "arb_poly") -> "arb":
 
 def disturbed_responses(
     loop: LoopParameters, stiffness: float, damping: float, causes: Causes
-) -> Responses | None:
+) -> WallResponses | None:
     """Responses of states and forces to disturbances of a stable wall; None if not proved.
 
     The inputs: an error of the read position at one sample, one of the force, and each of the
@@ -474,26 +478,26 @@ def motion_settled_after(
 ) -> float:
     """The same of a loop's motion from an impulse, z^n/p(z), beside its largest term."""
 
-    def wall_at() -> _Wall:
+    def wall_at() -> _WallPolynomials:
         p = triple().at(first, second)
-        return _Wall(p, p.polynomial())
+        return _WallPolynomials(p, p.polynomial())
 
     return _settled_after(wall_at, (first, second), level, horizon, is_impact=True)
 
 
 def _settled_after(
-    wall_at: "Callable[[], _Wall]",
+    wall_at: "Callable[[], _WallPolynomials]",
     gains: tuple[float, float],
     level: float,
     horizon: int,
     *,
     is_impact: bool,
 ) -> float:
-    def by_modes(wall: _Wall) -> float | None:
+    def by_modes(wall: _WallPolynomials) -> float | None:
         found = wall.responses(wall.begun(is_impact=is_impact))
         return found and found.settled(level, horizon, is_impact=is_impact)
 
-    def by_powers(wall: _Wall) -> float | None:
+    def by_powers(wall: _WallPolynomials) -> float | None:
         terms, numerators = 64, wall.begun(is_impact=is_impact)
         while terms < _MOST_POWERS and (found := wall.by_powers(numerators, terms)) is not None:
             if (settled := found.settled(level, horizon, is_impact=is_impact)) is not None:
@@ -505,25 +509,25 @@ def _settled_after(
     return nan if settled is None else settled
 
 
-def _wall_at(loop: LoopParameters, stiffness: float, damping: float) -> _Wall:
+def _wall_at(loop: LoopParameters, stiffness: float, damping: float) -> _WallPolynomials:
     if not (damping and stiffness):
         # The filter of a gain that is 0 has poles of its own, which may coincide.
         kept = loop.velocity if damping else None, loop.position if stiffness else None
         loop = replace(loop, velocity=kept[0], position=kept[1])
-    return _Wall.from_loop(loop, stiffness, damping)
+    return _WallPolynomials.from_loop(loop, stiffness, damping)
 
 
 def _of_wall(
-    wall_at: "Callable[[], _Wall]",
+    wall_at: "Callable[[], _WallPolynomials]",
     gains: tuple[float, float],
-    ways: "Iterable[Callable[[_Wall], Answer | None]]",
+    ways: "Iterable[Callable[[_WallPolynomials], Answer | None]]",
     nothing: Answer,
 ) -> Answer | None:
     """The answer of the first way that has one; ``nothing`` for an unstable wall."""
     if not isfinite(sum(gains)):
         return None  # as where JAX traced the numbers, so that nobody checked them
 
-    def question(way: "Callable[[_Wall], Answer | None]") -> tuple[Answer | None] | None:
+    def question(way: "Callable[[_WallPolynomials], Answer | None]") -> tuple[Answer | None] | None:
         wall = wall_at()
         is_stable = are_inside(wall.p)
         answer = way(wall) if is_stable else nothing

@@ -58,8 +58,10 @@ def segments_of(delays: Delays) -> list[Segments]:
 
 
 @dataclass(frozen=True)
-class PeriodicLoop:
-    """A loop with one wall, in float64 or in balls, in SI units.
+class TransitionMatrices:
+    """What maps the state of a loop with one wall from sample to sample, in float64 or in balls.
+
+    In SI units.
 
     Attributes:
         held: F and G of the rest of a sample, by where it starts, and the position's row.
@@ -71,7 +73,9 @@ class PeriodicLoop:
     below: np.ndarray
 
     @classmethod
-    def from_loop(cls, loop: LoopParameters, stiffness: float, damping: float) -> "PeriodicLoop":
+    def from_loop(
+        cls, loop: LoopParameters, stiffness: float, damping: float
+    ) -> "TransitionMatrices":
         """Return the loop in balls; its own delay does not count."""
         with working_precision(_BITS):
             parts = ball_loop(loop)
@@ -84,10 +88,10 @@ class PeriodicLoop:
         given = loop.held_device, float(loop.sample_time)
         return cls(partial(_held, *given), numerator, denominator)
 
-    def rounded(self) -> "PeriodicLoop":
+    def rounded(self) -> "TransitionMatrices":
         """Return the loop in float64, without a bound."""
         held = partial(_held_in_floats, *self.held.args)
-        return PeriodicLoop(held, _floats(self.above), _floats(self.below))
+        return TransitionMatrices(held, _floats(self.above), _floats(self.below))
 
     def steps(self, delays: Delays) -> list[np.ndarray]:
         """Return the matrices of the samples of a turn."""
@@ -120,7 +124,7 @@ class PeriodicLoop:
         return step
 
 
-def is_growing(loop: PeriodicLoop, delays: Delays) -> bool:
+def is_growing(loop: TransitionMatrices, delays: Delays) -> bool:
     """True if a motion is proved to grow with delays in turn, of a loop in balls."""
     with working_precision(_BITS):
         steps = [flint.arb_mat(step.tolist()) for step in loop.steps(delays)]

@@ -82,7 +82,7 @@ class Judgement(NamedTuple):
 
     @property
     def angles(self) -> dict[str, float]:
-        """Where they are missed, by the names of ``Scan``."""
+        """Where they are missed, by the names of ``RowScan``."""
         return {
             "gain" if name.endswith("gain") else name: own.angle
             for name, own in self.missed.items()
@@ -304,7 +304,7 @@ def _highest(function: Callable[[float], float], most: float) -> float:
 
 
 # --------------------------------------------------------------------------------- ends of a row
-class Scan:
+class RowScan:
     """The t of a row at which a wish is missed, over some angles, in float64."""
 
     def __init__(self, row: Callable[[], Row], wish: Wish, angles: Any = None) -> None:
@@ -450,7 +450,7 @@ class Scan:
 
 
 # ------------------------------------------------------------------------------------------- rows
-class Place(NamedTuple):
+class UsableEnd(NamedTuple):
     """An end of usable t, one next to it that is usable, and its angle."""
 
     end: float
@@ -458,7 +458,7 @@ class Place(NamedTuple):
     angle: float
 
 
-class Search:
+class RowSearch:
     """The usable t of a row, from the ends of its stable intervals inwards."""
 
     def __init__(
@@ -469,7 +469,7 @@ class Search:
         angles: Any = None,
     ) -> None:
         self.row, self.wish, self.delay = row, wish, delay
-        self.scan, self.kinds = Scan(row, wish, angles), _Kind.all_of(wish)
+        self.scan, self.kinds = RowScan(row, wish, angles), _Kind.all_of(wish)
 
     def intervals(self, line: StableLine) -> list[Interval]:
         """Usable intervals, as far as found, from left to right: all t within errors, proved."""
@@ -482,13 +482,17 @@ class Search:
                 found += self._parts(*ends)
         return found
 
-    def ends(self, low: End, high: End, *, is_sure: bool = True) -> tuple[Place, Place] | None:
+    def ends(
+        self, low: End, high: End, *, is_sure: bool = True
+    ) -> tuple[UsableEnd, UsableEnd] | None:
         """The outermost usable t of a stable interval; not ``is_sure`` E5 is not asked."""
         first = self.walked(low, 1, high.value, is_sure=is_sure)
         last = first and self.walked(high, -1, first.inner, is_sure=is_sure)
         return (first, last) if first and last else None
 
-    def walked(self, start: End, way: int, stop: float, *, is_sure: bool = True) -> Place | None:
+    def walked(
+        self, start: End, way: int, stop: float, *, is_sure: bool = True
+    ) -> UsableEnd | None:
         """The first usable t from one on in one direction."""
         t, angle = self.scan.on_ray(start.value + way * start.error, way), start.angle
         self.scan.learn(angle)
@@ -501,7 +505,7 @@ class Search:
             if not missed:
                 found = self.judged(inner) if is_sure else Judgement(is_usable=True, missed={})
                 if found.is_usable:
-                    return Place(t, inner, angle)
+                    return UsableEnd(t, inner, angle)
                 missed = found.angles
             t = inner
             for name, place in missed.items():
@@ -516,7 +520,7 @@ class Search:
         delay = self.delay and partial(self.delay, t)
         return judged(lambda: self.row().at(t), self.wish, delay)
 
-    def _parts(self, first: Place, last: Place) -> list[Interval]:
+    def _parts(self, first: UsableEnd, last: UsableEnd) -> list[Interval]:
         """Proved intervals between two usable t."""
         todo, done = [(first, last)], list[Interval]()
         shortest = 4.0 * _BACK * (last.inner - first.inner)
@@ -530,7 +534,7 @@ class Search:
             elif right.inner - left.inner > shortest:
                 found, here = self.judged(middle), End(middle, 0.0, nan)
                 if found.is_usable:
-                    place = Place(middle, middle, nan)
+                    place = UsableEnd(middle, middle, nan)
                     todo += [(place, right), (left, place)]
                 elif found.is_usable is False:
                     below = self.walked(here, -1, left.inner)
@@ -548,7 +552,7 @@ class Search:
         )
 
 
-def _interval(low: Place, high: Place) -> Interval:
+def _interval(low: UsableEnd, high: UsableEnd) -> Interval:
     first, last = (
         End(end, abs(inner - end) + 2.0 * ulp(max(abs(inner), abs(end))) * (inner != end), angle)
         for end, inner, angle in (low, high)

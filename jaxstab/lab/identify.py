@@ -60,7 +60,7 @@ from jaxstab.arrays import Numbers
 from jaxstab.loop import HapticLoop
 from jaxstab.model import Velocity
 from jaxstab.model.linear_loop import loop_polynomial
-from jaxstab.motion.contact import Flow, Plant, Runs, Summary, series, series_at
+from jaxstab.motion.contact import Flow, Runs, Summary, SwitchedMass, series, series_at
 from jaxstab.numbers import checked, checked_number
 from jaxstab.shown import printable, rounded_text
 from jaxstab.tables import INERTIAS, MASSES, PERIODS, columns_of
@@ -593,7 +593,9 @@ def _paths(
         pushed, moved = time * series_at(impulse, time), time**2 * series_at(step, time)
         flows.append(Flow(time, pushed, 1.0 - delta * pushed - gamma * moved, moved))
     turn = [[1, 0]], [flows]  # the force before the newest acts first
-    plant = Plant(gamma, 0.5 * delta, gamma - 0.25 * delta**2, impulse, step, *turn, oldest=1)
+    plant = SwitchedMass(
+        gamma, 0.5 * delta, gamma - 0.25 * delta**2, impulse, step, *turn, oldest=1
+    )
     nothing = np.zeros_like(x)
     runs, seen = Runs(*[nothing] * 12), Summary(*[nothing] * 13)
     runs = runs._replace(friction=friction / mass, static_friction=friction / mass)

@@ -8,10 +8,10 @@ from .backwards import StableValues as StableValues
 from .hands import WorstHand as WorstHand
 from .jitter import MovingLimits as MovingLimits
 from .jitter import WorstDelays as WorstDelays
+from .limits import limits_of as limits_of
+from .limits import regions_of as regions_of
 from .loop import HapticLoop as HapticLoop
 from .many import ManyRegions as ManyRegions
-from .many import limits_of as limits_of
-from .many import regions_of as regions_of
 from .margins import AtFrequency as AtFrequency
 from .margins import FrequencyMargins as FrequencyMargins
 from .margins import Margins as Margins
@@ -20,10 +20,10 @@ from .region import Gains as Gains
 from .region import Limits as Limits
 from .region import Region as Region
 from .region import Tuned as Tuned
-from .tune import CommonWall as CommonWall
 from .tune import minimize_settling as minimize_settling
-from .tune import tune_for_all as tune_for_all
 from .usable import UsableLimit as UsableLimit
 from .usable import UsableLimits as UsableLimits
+from .worst_settling import CommonWall as CommonWall
+from .worst_settling import tune_for_all as tune_for_all
 
 __all__: list[str]

@@ -12,7 +12,7 @@ from fractions import Fraction
 from functools import cached_property, partial, wraps
 from inspect import signature
 from math import inf
-from typing import TYPE_CHECKING, Any, ParamSpec
+from typing import Any, ParamSpec
 
 import numpy as np
 from jaxtyping import Float64
@@ -21,6 +21,7 @@ from jaxstab.arrays import Array, Numbers, float_arrays, namespace, repeat_and_k
 from jaxstab.conventions import HORIZON, Range, Verdict
 from jaxstab.exact.response import motion_settled_after
 from jaxstab.loop.answers import Answers
+from jaxstab.loop.backwards import StableValues, range_of_number
 from jaxstab.loop.margins import stable_pairs
 from jaxstab.loop.region import TOLERANCE, Gains, Region, Tuned, region_of_loop
 from jaxstab.model import LoopParameters
@@ -55,10 +56,6 @@ from jaxstab.numbers import (
 )
 from jaxstab.shown import shortened
 from jaxstab.tuning import TuningStatus, Walls, family_of_loop, smallest_radius
-
-if TYPE_CHECKING:
-    from jaxstab.loop.backwards import StableValues
-    from jaxstab.loop.loop import HapticLoop
 
 Given = ParamSpec("Given")
 
@@ -157,7 +154,7 @@ class Loop(Answers):
 
     def range_of(
         self, quantity: str, *, between: Range | None = None, count: int = 500, **gains: float
-    ) -> "StableValues":
+    ) -> StableValues:
         """The values of one number of the loop with which gains are stable.
 
         It is an argument of the function that made the loop, such as "inertia", "environment" or,
@@ -173,8 +170,6 @@ class Loop(Answers):
             >>> round(loop.range_of("inertia", kp=1000.0, kd=10.0).least, 9)  # kd h/2 + kp h^2/4
             0.011
         """
-        from jaxstab.loop.backwards import range_of_number
-
         pair = Gains(*(checked_number(name, x) for name, x in self._named((), gains).items()))
         return range_of_number(self, quantity, pair, between, count)
 
@@ -505,7 +500,7 @@ def _filter(name: str, value: Any, period: float) -> Filter:
 
 @_rebuilt
 def pid(
-    loop: "HapticLoop",
+    loop: LoopParameters,
     *,
     kp: float | None = None,
     ki: float | None = None,

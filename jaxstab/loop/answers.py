@@ -1,7 +1,7 @@
 """Regions, limits, margins and pictures of all loops of two gains, as methods.
 
 Each asks what the loop is (``loop.gains``) of the modules that know: its region and limits of
-``loop.region``, its margins of ``loop.margins``, and pictures of ``jaxstab.app.pictures``.
+``loop.region``, its margins of ``loop.margins``, and pictures of ``jaxstab.drawing``.
 """
 
 from abc import abstractmethod
@@ -14,18 +14,21 @@ from jaxtyping import Float64
 
 from jaxstab import exact
 from jaxstab.arrays import Numbers
+from jaxstab.drawing import draw_largest, draw_linear_rule, plot_open_loop, write_legend
+from jaxstab.exact import StableLine
 from jaxstab.loop.gains import TwoGains
 from jaxstab.loop.margins import FrequencyMargins, Margins, loop_margins, wall_frequency_margins
 from jaxstab.loop.region import TOLERANCE, Limits, Region
-from jaxstab.loop.wanted import Wanted
+from jaxstab.loop.usable import UsableLimits, judgement, usable_limits, usable_line
+from jaxstab.loop.wanted import WantedMargins
 from jaxstab.model.balls import Triple, rounded_triple
+from jaxstab.model.gain import limit_text
 from jaxstab.model.plant import checked_gain, wall_grid
 from jaxstab.numbers import checked_number, checked_word
+from jaxstab.region.stable_set import DIGITS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from jaxstab.loop.usable import UsableLimits
 
 
 class Answers(TwoGains):
@@ -39,9 +42,9 @@ class Answers(TwoGains):
     def limits(self) -> Limits[float]: ...
 
     @overload
-    def limits(self, **margins: Any) -> "UsableLimits": ...
+    def limits(self, **margins: Any) -> UsableLimits: ...
 
-    def limits(self, **margins: Any) -> "Limits[float] | UsableLimits":
+    def limits(self, **margins: Any) -> Limits[float] | UsableLimits:
         """The largest stable value of each gain, or the least, as of an admittance.
 
         They are read off the region: it is not proved that no stable gains were missed beyond.
@@ -62,6 +65,59 @@ class Answers(TwoGains):
               islands  none found
         """
         return self._usable_limits(margins) if margins else self.region().limits()
+
+    def intervals(
+        self,
+        *,
+        phase_margin: int | float | None = None,
+        gain_margin: int | float | tuple[float, float] | None = None,
+        sensitivity: int | float | None = None,
+        delay_margin: int | float | None = None,
+        **gain: float,
+    ) -> StableLine:
+        """All stable values of one gain at a value of the other: complete and proved.
+
+        Each end has a bound of its error and the angle of the root that crosses the circle there.
+        Without stiffness a device that nothing holds keeps a root at 1 (``drift``): the intervals
+        are those in which all others are stable.
+
+        With margins they are the intervals in which the loop has these: each is proved from end to
+        end, less the errors of its ends; that there are no others is searched. Where a root stays
+        at 1 there are none.
+
+        Args:
+            phase_margin: in degrees; this and the others as for ``is_usable``.
+            gain_margin: a factor, or the least and the largest one.
+            sensitivity: the largest peak of |S|.
+            delay_margin: refused: it is not proved for whole intervals.
+            **gain: the other gain, by its name.
+
+        Raises: TypeError also unless one gain is given, for an array, and if JAX traces the loop;
+        ValueError for margins as of ``is_usable``, and where gains move the leading coefficient of
+        p(z).
+
+        Source: lemma E3 of docs/proofs.md; with margins E7.
+
+        Example:
+            >>> loop = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
+            >>> line = loop.intervals(mass=2.0)
+            >>> [(round(low.value, 9), high.value) for low, high in line.intervals]
+            [(39.515919035, 3995.0)]
+            >>> loop = jaxstab.simulated_pd(0.1, step=2e-3, substeps=4)
+            >>> [(low.told, round(high.value, 6)) for low, high in
+            ...     loop.intervals(kd=10.0, phase_margin=45).intervals]
+            [(0.0, 437.241515)]
+        """
+        names = [each.name for each in self.gains]
+        if len(gain) != 1 or not set(gain) <= set(names):
+            given = ", ".join(gain) or "none"
+            raise TypeError(f"gains given: {given}; give one of {names[0]} and {names[1]}.")
+        ((name, value),) = gain.items()
+        number = checked_number(name, value)
+        wanted = WantedMargins.checked(phase_margin, gain_margin, sensitivity, delay_margin)
+        if not wanted.texts:
+            return self._row(name, number)
+        return usable_line(self, *self._along(name, number), wanted)
 
     def boundary(self, *, tolerance: float = 1e-6) -> Float64[np.ndarray, "point 2"]:
         """The outline of the stable gains, loop after loop, each of them closed.
@@ -156,13 +212,11 @@ class Answers(TwoGains):
             >>> loop.is_usable(1000.0, 10.0, phase_margin=50, sensitivity=1.1)
             False
         """
-        from jaxstab.loop.usable import judgement
-
         first, second = (
             checked_number(name, checked_gain(name, x))
             for name, x in self._named(wall, gains).items()
         )
-        wanted = Wanted.checked(phase_margin, gain_margin, sensitivity, delay_margin)
+        wanted = WantedMargins.checked(phase_margin, gain_margin, sensitivity, delay_margin)
         if not wanted.texts:
             raise ValueError(
                 "no margin is given; give phase_margin, gain_margin, sensitivity or delay_margin, "
@@ -170,13 +224,11 @@ class Answers(TwoGains):
             )
         return judgement(self, (first, second), wanted).is_usable
 
-    def _usable_limits(self, margins: Mapping[str, Any]) -> "UsableLimits":
-        from jaxstab.loop.usable import usable_limits
-
-        if unknown := [name for name in margins if name not in Wanted._fields]:
-            names = ", ".join(Wanted._fields)
+    def _usable_limits(self, margins: Mapping[str, Any]) -> UsableLimits:
+        if unknown := [name for name in margins if name not in WantedMargins._fields]:
+            names = ", ".join(WantedMargins._fields)
             raise TypeError(f"limits takes no {unknown[0]}; give {names}.")
-        return usable_limits(self, Wanted.checked(**margins))
+        return usable_limits(self, WantedMargins.checked(**margins))
 
     def plot(
         self,
@@ -208,17 +260,27 @@ class Answers(TwoGains):
             >>> loop.plot().get_xlabel(), loop.plot("bode", kp=1000.0, kd=20.0).get_xlabel()
             ('kp (N m/rad)', 'frequency (Hz)')
         """
-        from jaxstab.app.pictures.style import plot_loop, plot_open_loop
-
         checked_word("kind", kind, ("region", "nyquist", "bode"))
         if kind == "region":
             if wall or gains:
                 raise TypeError('gains are given beside kind "region", which is of all gains.')
-            return plot_loop(self, ax)
+            return self._plot_region(ax)
         pair = [checked_number(*gain) for gain in self._named(wall, gains).items()]
         response = partial(exact.frequency_response, partial(self._opened, *pair))
         margins = self._frequency_margins(*pair)
         return plot_open_loop(kind, margins, response, float(self.sample_time), ax)
+
+    def _plot_region(self, ax: "Axes | None") -> "Axes":
+        region = self.region()
+        panel = region.plot(ax)
+        largest = region.reachable._printed[0]
+        if np.dot(self._chart.shares, largest) < 1.0:
+            first, second = region.names
+            text = limit_text(first, largest[0], second, largest[1], DIGITS)
+            draw_largest(panel, largest, f"{first.word or first.sense}: {text}")
+        draw_linear_rule(panel, self._linear_rule)
+        write_legend(panel)
+        return panel
 
     def to_control(self, *wall: float, **gains: float) -> Any:
         """The open loop L(z) = (a S + b R)/base as a transfer function of python-control.

@@ -20,13 +20,14 @@ from dataclasses import replace
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from functools import cache, partial
 from math import nan
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxstab.boxes import HandRange
 from jaxstab.conventions import Range, Verdict
 from jaxstab.exact import wall_verdict
-from jaxstab.loop.hands import LoopsWithHands
+from jaxstab.loop.hands import HandFamily
 from jaxstab.loop.region import Gains
 from jaxstab.model.balls import ball_triple
 from jaxstab.model.device.device import in_steps
@@ -35,9 +36,6 @@ from jaxstab.model.filters import Velocity, dividing_periods, sections_of, with_
 from jaxstab.model.plant import DELTA_LIMIT, GAMMA_LIMIT, LONGEST_DELAY
 from jaxstab.numbers import checked_count, checked_word, two_ends
 from jaxstab.shown import number_text
-
-if TYPE_CHECKING:
-    from jaxstab.boxes import HandRange
 
 UNITS = {
     "device_mass": "kg",
@@ -139,19 +137,19 @@ class StableValues(NamedTuple):
         return "\n".join([head, *(lines or ["  none"]), *doubt, f"  {self.scan}"])
 
 
-class Scan(NamedTuple):
+class Sweep(NamedTuple):
     """Values to try in their order, and whether there are no others."""
 
     values: list[float]
     is_complete: bool = False
 
     @classmethod
-    def of(cls, low: float, high: float, count: int, *before: float) -> "Scan":
+    def of(cls, low: float, high: float, count: int, *before: float) -> "Sweep":
         """Some values, and others between two ends, evenly in their logarithm, or from 0 on."""
         spread = np.geomspace if low > 0.0 else np.linspace
         return cls([*before, *spread(low, high, count - len(before)).tolist()])
 
-    def within(self, between: Range | None, count: int) -> "Scan":
+    def within(self, between: Range | None, count: int) -> "Sweep":
         """The scan in other limits, if these are given."""
         if between is None:
             return self
@@ -159,11 +157,11 @@ class Scan(NamedTuple):
         kept = [value for value in self.values if low <= value <= high]
         if not low < high or (self.is_complete and not kept):
             raise ValueError(f"between is {between}; give the lowest value, and a higher one.")
-        return Scan(kept, is_complete=True) if self.is_complete else Scan.of(low, high, count)
+        return Sweep(kept, is_complete=True) if self.is_complete else Sweep.of(low, high, count)
 
 
 def stable_values(
-    named: tuple[str, str], scan: Scan, judge: Callable[[float], Verdict], known: Any = None
+    named: tuple[str, str], scan: Sweep, judge: Callable[[float], Verdict], known: Any = None
 ) -> StableValues:
     """The stable intervals of a quantity of some name and unit; ValueError: no value makes a loop.
 
@@ -212,7 +210,7 @@ def range_of(
     quantity: str,
     wall: Gains,
     *,
-    hands: "HandRange | None" = None,
+    hands: HandRange | None = None,
     mass: Range | None = None,
     between: Range | None = None,
     count: int | None = None,
@@ -225,7 +223,7 @@ def range_of(
     if (mass and not hands) or varied & {quantity, quantity.partition("_")[0]}:
         raise ValueError(f"quantity is {quantity!r} beside a range of it, or mass without hands.")
     change = partial(_changed, quantity, in_samples)
-    every: Any = None if hands is None else LoopsWithHands(loop, hands, mass)
+    every: Any = None if hands is None else HandFamily(loop, hands, mass)
     loops = [loop] if every is None else every.corners
     is_of_mechanics = quantity.partition("_")[0] in ("device", "hand")  # p(z) keeps its degree
     at_once = is_of_mechanics and loop.device is None and wall.stiffness != 0.0
@@ -299,7 +297,7 @@ def _for_all(
     return found._replace(intervals=tuple(intervals), is_proved=is_proved), refuting
 
 
-def _held(loops: list[Any], quantity: str, scan: Scan) -> Scan:
+def _held(loops: list[Any], quantity: str, scan: Sweep) -> Sweep:
     """The values of a scan at which loops of one mass are within what can be computed."""
     values = np.array(scan.values)
     are_held = np.full(values.shape, quantity != "device_mass") | (values > 0.0)
@@ -309,7 +307,7 @@ def _held(loops: list[Any], quantity: str, scan: Scan) -> Scan:
     return scan._replace(values=values[are_held | (values == 0.0)].tolist() or scan.values)
 
 
-def _verdicts(loops: list[Any], quantity: str, wall: Gains, scan: Scan) -> Any:
+def _verdicts(loops: list[Any], quantity: str, wall: Gains, scan: Sweep) -> Any:
     """Verdicts on a scan, all at once."""
     no_mass = int(quantity == "device_mass" and scan.values[0] == 0.0)  # makes no loop
     values = np.array(scan.values[no_mass:])
@@ -319,7 +317,7 @@ def _verdicts(loops: list[Any], quantity: str, wall: Gains, scan: Scan) -> Any:
     return [Verdict.UNDECIDED] * no_mass + found
 
 
-def _scan(loop: Any, quantity: str, wall: Gains, count: int) -> Scan:
+def _scan(loop: Any, quantity: str, wall: Gains, count: int) -> Sweep:
     """The values to try: around those at which numbers such as K T^2/m are of size 1."""
     most = 128.0  # samples of delay, where it is not longer now
     period, (spring, damper), counts = loop.sample_time, map(abs, wall), range(1, 201)
@@ -333,7 +331,7 @@ def _scan(loop: Any, quantity: str, wall: Gains, count: int) -> Scan:
         whole = [n * body.step for n in counts] if body else None
         whole = periods[::-1] if periods else whole
     if whole:
-        return Scan(whole, is_complete=True)
+        return Sweep(whole, is_complete=True)
     damping, stiffness = loop.damping(1.0), loop.stiffness(1.0)
     mass = max(spring * period**2, damper * period) or damping * period
     low = 1e-3
@@ -348,7 +346,7 @@ def _scan(loop: Any, quantity: str, wall: Gains, count: int) -> Scan:
         "time": (period, max(2.0**-10, loop.delay_samples / most), 2.0**10),
     }[quantity.rpartition("_")[2]]
     zero = [] if quantity in ("device_mass", "sample_time", "cutoff") else [0.0]
-    return Scan.of(low * size, high * size, count, *zero)
+    return Sweep.of(low * size, high * size, count, *zero)
 
 
 def _changed(quantity: str, in_samples: bool, loop: Any, value: float) -> Any:
@@ -390,10 +388,10 @@ def range_of_number(
     # What is 0 now is scanned around what acts like it.
     alike = {"stiffness": pair.stiffness, "damping": pair.damping, "delay": loop.sample_time}
     size = now or numbers.get("environment") or abs(alike.get(quantity, 0.0)) or 1.0
-    others = Scan.of(1e-4 * size, 1e4 * size, checked_count("count", count, 2) - 1).values
-    scan = Scan(sorted([now, *others]))
+    others = Sweep.of(1e-4 * size, 1e4 * size, checked_count("count", count, 2) - 1).values
+    scan = Sweep(sorted([now, *others]))
     if quantity in _WHOLE:
-        scan = Scan([float(n) for n in range(_WHOLE[quantity], 201)], is_complete=True)
+        scan = Sweep([float(n) for n in range(_WHOLE[quantity], 201)], is_complete=True)
 
     def judge(value: float) -> Verdict:
         number = int(value) if quantity in _WHOLE else value

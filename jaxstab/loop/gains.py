@@ -20,7 +20,6 @@ from jaxstab.arrays import Array, Numbers, is_any_jax, is_any_traced, is_jax, na
 from jaxstab.conventions import Verdict
 from jaxstab.exact.line import LineStatus
 from jaxstab.exact.roots import affine_verdict
-from jaxstab.loop.wanted import Wanted
 from jaxstab.model.affine import AffineParts, Chart, affine_triple
 from jaxstab.model.balls import Factored, Triple
 from jaxstab.model.gain import Gain
@@ -72,6 +71,7 @@ class TwoGains(ABC):
     _by_place: ClassVar[bool] = False  # gains need no names
     has_delay: ClassVar[bool] = False  # margins have that of a delay
     _held: Any = None  # the held device whose delay may be of any length
+    _linear_rule: Any = None  # a damping in N s/m and a time in s, of the paper's linear rule
     _spring: Any = (0.0, 0.0)  # what holds the device beside the first gain; the same in units
 
     if TYPE_CHECKING:  # a field of some: an abstract property would be its default
@@ -150,6 +150,15 @@ class TwoGains(ABC):
         if line.status == LineStatus.UNDECIDED and self.parts.is_reciprocal(start, along):
             return line._replace(status=LineStatus.PROVED, horizon=inf)
         return line
+
+    def _row(self, name: str, value: float) -> exact.StableLine:
+        """All stable values of one gain at a value of the other, which is named."""
+        return self._line(*self._along(name, checked_number(name, value)))
+
+    def _along(self, name: str, value: float) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Where that row starts, and along which gain it goes."""
+        is_first = name == self.gains[0].name
+        return ((value, 0.0), (0.0, 1.0)) if is_first else ((0.0, value), (1.0, 0.0))
 
     @overload
     def verdict(self, *wall: float, **gains: float) -> Verdict: ...
@@ -246,62 +255,6 @@ class TwoGains(ABC):
         mode = motion.mode_of(self.poles(*wall, **gains))
         frequency = mode.frequency / (2.0 * np.pi * self.sample_time)
         return motion.Oscillation(mode.damping_ratio, frequency)
-
-    def intervals(
-        self,
-        *,
-        phase_margin: int | float | None = None,
-        gain_margin: int | float | tuple[float, float] | None = None,
-        sensitivity: int | float | None = None,
-        delay_margin: int | float | None = None,
-        **gain: float,
-    ) -> exact.StableLine:
-        """All stable values of one gain at a value of the other: complete and proved.
-
-        Each end has a bound of its error and the angle of the root that crosses the circle there.
-        Without stiffness a device that nothing holds keeps a root at 1 (``drift``): the intervals
-        are those in which all others are stable.
-
-        With margins they are the intervals in which the loop has these: each is proved from end to
-        end, less the errors of its ends; that there are no others is searched. Where a root stays
-        at 1 there are none.
-
-        Args:
-            phase_margin: in degrees; this and the others as for ``is_usable``.
-            gain_margin: a factor, or the least and the largest one.
-            sensitivity: the largest peak of |S|.
-            delay_margin: refused: it is not proved for whole intervals.
-            **gain: the other gain, by its name.
-
-        Raises: TypeError also unless one gain is given, for an array, and if JAX traces the loop;
-        ValueError for margins as of ``is_usable``, and where gains move the leading coefficient of
-        p(z).
-
-        Source: lemma E3 of docs/proofs.md; with margins E7.
-
-        Example:
-            >>> loop = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
-            >>> line = loop.intervals(mass=2.0)
-            >>> [(round(low.value, 9), high.value) for low, high in line.intervals]
-            [(39.515919035, 3995.0)]
-            >>> loop = jaxstab.simulated_pd(0.1, step=2e-3, substeps=4)
-            >>> [(low.told, round(high.value, 6)) for low, high in
-            ...     loop.intervals(kd=10.0, phase_margin=45).intervals]
-            [(0.0, 437.241515)]
-        """
-        names = [each.name for each in self.gains]
-        if len(gain) != 1 or not set(gain) <= set(names):
-            given = ", ".join(gain) or "none"
-            raise TypeError(f"gains given: {given}; give one of {names[0]} and {names[1]}.")
-        ((name, value),) = gain.items()
-        number = checked_number(name, value)
-        line = ((number, 0.0), (0.0, 1.0)) if name == names[0] else ((0.0, number), (1.0, 0.0))
-        wanted = Wanted.checked(phase_margin, gain_margin, sensitivity, delay_margin)
-        if not wanted.texts:
-            return self._line(*line)
-        from jaxstab.loop.usable import usable_line
-
-        return usable_line(self, *line, wanted)
 
     def _named(self, wall: tuple[Any, ...], gains: Mapping[str, Any]) -> dict[str, Any]:
         """Both gains by their names, in their order."""

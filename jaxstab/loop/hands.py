@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import partial, reduce
 from itertools import product
 from math import isfinite, nan
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -33,16 +33,13 @@ from jaxstab.boxes.search import (
 )
 from jaxstab.conventions import Range, Verdict
 from jaxstab.exact import rough_radius
-from jaxstab.loop.jitter import MovingLoop, stiffest_proved
+from jaxstab.loop.jitter import Jitter, stiffest_proved
 from jaxstab.loop.region import TOLERANCE, Region, region_of_loop
 from jaxstab.model.balls import ball_triple
 from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.numbers import two_ends
 from jaxstab.region import RegionStatus
 from jaxstab.shown import rounded_text
-
-if TYPE_CHECKING:
-    from jaxstab.loop.loop import HapticLoop
 
 Wall = tuple[float, float]
 
@@ -75,7 +72,7 @@ class WorstHand(NamedTuple):
 
 
 @dataclass(frozen=True)
-class LoopsWithHands:
+class HandFamily:
     """A loop with its device and all hands of a range, in place of its hand; a grip stays.
 
     ``mass`` is the lowest and the highest mass of the device in kg, None for its own. ``delay`` is
@@ -95,7 +92,7 @@ class LoopsWithHands:
             raise TypeError(
                 f"delay is {self.delay} beside delays; give those that move, or the others."
             )
-        own = MovingLoop.from_loop(self.loop, **self.moving).loop if self.moving else self.loop
+        own = Jitter.from_loop(self.loop, **self.moving).loop if self.moving else self.loop
         object.__setattr__(self, "loop", own.in_floats())
         device = self.loop.held_device
         checked_range(self.hands, self.mass, device)
@@ -164,7 +161,7 @@ class LoopsWithHands:
         """The same for delays that move: the stiffest wall of the corners, proved for all."""
         loops = [replace(loop, delay=d) for d in self.moving["delays"] for loop in self.corners]
         guess = _stiffest_wall(loops, 0.0) or NOTHING  # bounds the search: of constant delays
-        moving = [MovingLoop.from_loop(loop, **self.moving) for loop in self.corners]
+        moving = [Jitter.from_loop(loop, **self.moving) for loop in self.corners]
 
         def is_proved(stiffness: float, damping: float) -> bool:
             for k, loop in enumerate(moving):
@@ -209,7 +206,7 @@ class LoopsWithHands:
         return {"delays": self.delays, "lost": self.lost} if is_moving else {}
 
     @property
-    def corners(self) -> "list[HapticLoop]":
+    def corners(self) -> list[Any]:
         """The loops at the corners of the ranges."""
         return [self._held(member) for member in self._spread(2)]
 
@@ -239,7 +236,7 @@ class LoopsWithHands:
         hands = spread_hands(self.hands, count).tolist()
         return np.array([(*hand, *other) for hand, *other in product(hands, *others)])
 
-    def _held(self, member: Float64[np.ndarray, " 5"]) -> "HapticLoop":
+    def _held(self, member: Float64[np.ndarray, " 5"]) -> Any:
         *arm, own, samples = member.tolist()
         changes: dict[str, Any] = {}
         if self.delay is not None:
@@ -259,7 +256,7 @@ class LoopsWithHands:
         """
         jitter = 0.0
         if self.moving:
-            jitter = MovingLoop.from_loop(self.loop, **self.moving).delays.jitter
+            jitter = Jitter.from_loop(self.loop, **self.moving).delays.jitter
         device = with_parts(self.loop.held_device, None, Arms(0.0, 0.0, 0.0))
         ranges = self.hands, self._masses, self._delays
         try:
@@ -269,7 +266,7 @@ class LoopsWithHands:
             return None
 
 
-def _worst_of(loops: "list[HapticLoop]", wall: Wall, moving: dict[str, Any]) -> WorstHand:
+def _worst_of(loops: list[Any], wall: Wall, moving: dict[str, Any]) -> WorstHand:
     """The verdict on a wall in the loop of the largest radius; of unstable ones, if any.
 
     That is the radius at the longest delay, if the delay moves.
@@ -291,7 +288,7 @@ Rows = Float64[np.ndarray, " row"]
 Intervals = Float64[np.ndarray, "row _ 2"]
 
 
-def _walls_of(loops: "Sequence[HapticLoop]") -> "dict[HapticLoop, Region]":
+def _walls_of(loops: Sequence[Any]) -> dict[Any, Region]:
     """The stable walls of loops: the component that contains small gains, if there is one.
 
     Regions that are UNRESOLVED are left out; a proof for the range covers these loops, too.
@@ -316,7 +313,7 @@ def common_walls(regions: Sequence[Region], count: int = _ROWS) -> Points:
     return polygon_of_rows(partial(_common_limits, regions), low, high, count)
 
 
-def _stiffest_wall(loops: "Sequence[HapticLoop]", pull: float) -> Guess | None:
+def _stiffest_wall(loops: Sequence[Any], pull: float) -> Guess | None:
     """The stiffest wall with B >= 0 that all loops have, pulled down by a share of it."""
     regions = _walls_of(loops)
     if not regions:

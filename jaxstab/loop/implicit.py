@@ -5,7 +5,7 @@ two roots are on it at once, at a corner. These are equations for the wall and t
 which the implicit function theorem differentiates by all numbers of the loop. They are those of
 ``circle_equations``, in which the delay is a real number, so that one program serves loops of all
 degrees. Vertices of an outline have the same equations: one at a corner moves with it, any other
-one across the boundary, at a right angle. A margin ends at one root on the circle.
+one across the boundary, at a right angle.
 
 Under vmap the loops are searched together, as ``limits_of`` searches. Inside jit the program of a
 batch (``region.batch``) becomes part of the caller's, if there are enough loops to pay for its
@@ -16,7 +16,7 @@ searched there one by one, by a callback.
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import cache, lru_cache, partial
-from math import pi
+from math import pi, prod
 from typing import Any, NamedTuple
 
 import jax
@@ -27,22 +27,26 @@ from jaxtyping import Float64
 
 from jaxstab.arrays import is_any_traced, solved
 from jaxstab.batches import alike
+from jaxstab.loop.crossings import grown
 from jaxstab.loop.many import (
     Form,
     ManyRegions,
     Stack,
+    column_of,
     common_form,
     empty_outlines,
+    in_shape,
     outline_of,
     resolved,
     singles,
     stacked,
     triples_of_masses,
+    varied_loops,
 )
-from jaxstab.loop.margins import WAYS
 from jaxstab.loop.region import TOLERANCE, Limits, Region, region_of_loop
 from jaxstab.model import LoopParameters
-from jaxstab.model.filters import Filters, given_filters
+from jaxstab.model.filters import given_filters
+from jaxstab.model.loop import MECHANICS
 from jaxstab.point import closed_loop_poles
 from jaxstab.region import RegionStatus, measures
 from jaxstab.region.batch import Triples, components, cross
@@ -67,7 +71,20 @@ class _Extreme(NamedTuple):
     is_single: Array
 
 
-def moved_together(given: list[Any], *, outlines: bool) -> ManyRegions:
+def moved(
+    many: Any, fields: dict[str, Any], shape: tuple[int, ...], *, outlines: bool
+) -> ManyRegions:
+    """The limits of loops, some of which JAX traces, and, with ``outlines``, outlines and areas."""
+    are_columns = prod(shape) > 1 and fields.keys() <= {*MECHANICS}
+    if are_columns and isinstance(many, LoopParameters) and many.device is None:
+        columns = {name: column_of(x, shape) for name, x in fields.items()}
+        answer = _moved_columns(many, columns, outlines=outlines)
+    else:
+        answer = _moved_together(varied_loops(many, fields, shape), outlines=outlines)
+    return in_shape(answer, shape)
+
+
+def _moved_together(given: list[Any], *, outlines: bool) -> ManyRegions:
     """Return ``moving_regions`` of each of many loops, some of which JAX traces.
 
     Loops of one structure are stacked: their filters are of the same kinds, orders and windows.
@@ -95,7 +112,7 @@ def _of_leaves(loop: Any) -> Any:
     return loop.tree_unflatten((None, loop.device), loop.tree_flatten()[0])
 
 
-def moved_columns(given: Any, columns: dict[str, Array], *, outlines: bool) -> ManyRegions:
+def _moved_columns(given: Any, columns: dict[str, Array], *, outlines: bool) -> ManyRegions:
     """Return the same of one loop of which some numbers are columns: no loop is a piece of code."""
     form = common_form([given])
 
@@ -249,7 +266,7 @@ def _moved(loop: LoopParameters, extremes: _Extreme) -> Limits[Any]:
         is_corner = ~jnp.isnan(extreme.other_angle)
         start = jnp.stack([*extreme[:3], jnp.where(is_corner, extreme.other_angle, 0.0)])
         residual = partial(_equations, start, is_corner, axis)
-        wall = start[:2] + _change(_grown(residual, start, numbers))[:2]
+        wall = start[:2] + _change(grown(residual, start, numbers))[:2]
         return jnp.where(~is_corner & (start[:2] == 0.0), 0.0, wall)  # on an axis it stays there
 
     (stiffest, at_damping), (at_stiffness, damping) = jax.vmap(moved)(extremes, jnp.arange(2))
@@ -304,12 +321,6 @@ def _change(value: Array) -> Array:
     return value - jax.lax.stop_gradient(value)
 
 
-def _grown(equations: Callable[..., Array], start: Array, numbers: Any) -> Array:
-    """Unknowns that move so that they solve the equations, by the implicit function theorem."""
-    slopes = jax.jacfwd(equations)(start, jax.lax.stop_gradient(numbers))
-    return -solved(slopes, equations(start, numbers)[:, None])[:, 0]
-
-
 def _numbers(loop: LoopParameters) -> _Numbers:
     plant = loop.gamma, loop.delta, loop.delay / loop.sample_time
     return plant, Responses.from_filters(given_filters(**loop.filters))
@@ -359,50 +370,3 @@ def _equations(
     is_on_axis = start[:2] @ other == 0.0
     smooth = jnp.stack([jnp.where(is_on_axis, wall @ other, turning), angles[1]])
     return jnp.concatenate([first, jnp.where(is_corner, second, smooth)])
-
-
-# Margins: the ends of the ways in which a wall is changed.
-
-
-def moving_ends(
-    point: Float64[Array, "*grid 5"],
-    ends: Float64[Array, "*grid way"],
-    angles: Float64[Array, "*grid way"],
-    filters: Filters | None = None,
-) -> Float64[Array, "*grid way"]:
-    """The ends of all ways from points, with their derivatives by these."""
-    axes = np.array([axis for axis, _ in WAYS])
-    return _moving(ends, _moved_ends(filters)(point[..., None, :], ends, angles, axes))
-
-
-@jax.custom_jvp
-def _moving(value: Array, moved: Array) -> Array:
-    """A value with the derivatives of another one, which may be NaN."""
-    del moved
-    return value
-
-
-_moving.defjvp(lambda values, moves: (values[0], moves[1]))
-
-
-@lru_cache(maxsize=16)
-def _moved_ends(filters: Filters | None) -> Callable[..., Array]:
-    """A function that moves as the end of a way does, by p(z) = 0 at the crossing."""
-    nearly_real = 2.0**-29  # of pi: a root this near to the real axis is taken for real
-    responses = Responses.from_filters(filters)
-
-    def moved(point: Array, end: Array, angle: Array, axis: Array) -> Array:
-        here = jnp.where(axis < 2, point[axis], 0.0)  # of a delay the end is how much longer it is
-        nearest = jnp.round(angle)
-        is_real = jnp.abs(angle - nearest) < nearly_real
-        start = pi * jnp.where(is_real, nearest, angle)
-
-        def equations(crossing: Array, point: Array) -> Array:
-            alpha, beta, *plant = point.at[axis].add(crossing[0])
-            real, imaginary = circle_equations(plant, alpha, beta, crossing[1], responses)
-            return jnp.stack([real, jnp.where(is_real, crossing[1] - start, imaginary)])
-
-        crossing = jnp.stack([end - jax.lax.stop_gradient(here), start])
-        return here + _grown(equations, crossing, point)[0]
-
-    return jax.jit(jnp.vectorize(moved, signature="(n),(),(),()->()"))

@@ -27,7 +27,7 @@ from jaxstab.arrays import Array, Numbers, named
 from jaxstab.conventions import Range, Verdict
 from jaxstab.exact.margins import SmallGainStatus, largest_jitter, small_gain
 from jaxstab.exact.roots import wall_verdict
-from jaxstab.exact.turns import PeriodicLoop, is_growing, segments_of
+from jaxstab.exact.turns import TransitionMatrices, is_growing, segments_of
 from jaxstab.loop.region import TOLERANCE, Limits, region_of_loop
 from jaxstab.model import LoopParameters
 from jaxstab.model.balls import ball_loop, ball_triple
@@ -87,8 +87,8 @@ def growing_turn(
     loop: LoopParameters, wall: tuple[float, float], delays: Delays, *, is_thorough: bool
 ) -> tuple[Growth, bool]:
     """The turn of the fastest growth that a search found, and whether it is proved to grow."""
-    exact = PeriodicLoop.from_loop(loop, *wall)
-    search = _Search(exact.rounded(), delays)
+    exact = TransitionMatrices.from_loop(loop, *wall)
+    search = _TurnSearch(exact.rounded(), delays)
     best = search.patterns(_THOROUGH if is_thorough else _QUICK)
     if is_thorough:
         best = search.climbed(best)
@@ -99,10 +99,10 @@ def growing_turn(
 _segments = lru_cache(maxsize=512)(segments_of)
 
 
-class _Search:
+class _TurnSearch:
     """Turns of one wall, each sample's matrix formed once."""
 
-    def __init__(self, loop: PeriodicLoop, delays: Delays) -> None:
+    def __init__(self, loop: TransitionMatrices, delays: Delays) -> None:
         self.delays = delays
         oldest = ceil(delays.high) + delays.lost  # of the forces that may act, in samples
         self._step = cache(lambda segments: loop.step(segments, oldest))
@@ -239,15 +239,15 @@ class MovingLimits:
         )
 
 
-class MovingLoop(NamedTuple):
-    """A loop with the shortest of its delays; ``ends`` are that and the longest, in s."""
+class Jitter(NamedTuple):
+    """A loop whose delay moves: with the shortest one; ``ends`` are that and the longest, in s."""
 
     loop: LoopParameters
     ends: Range
     delays: Delays
 
     @classmethod
-    def from_loop(cls, loop: LoopParameters, delays: Any, lost: Any = 0) -> "MovingLoop":
+    def from_loop(cls, loop: LoopParameters, delays: Any, lost: Any = 0) -> "Jitter":
         """Return a loop with a range of delays in s and of samples lost in a row."""
         loop = loop.in_floats()
         ends = low, high = two_ends("delays", delays, 0.0, unit="s")
@@ -392,7 +392,7 @@ def jitter_margin(
     loop: LoopParameters, stiffness: Numbers, damping: Numbers
 ) -> Float64[np.ndarray, "*grid"]:
     """The proved range of the delay above the loop's, in s: ``HapticLoop.jitter_margin``."""
-    moving = MovingLoop.from_loop(loop, (float(loop.delay), float(loop.delay)))
+    moving = Jitter.from_loop(loop, (float(loop.delay), float(loop.delay)))
     parts, most = partial(ball_loop, moving.loop), LONGEST_DELAY - moving.delays.low
 
     def samples(stiffness: float, damping: float) -> float:

@@ -2,16 +2,28 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import Any, Literal, overload
 
 import numpy as np
 from jaxtyping import Float64, Int8
 
 from jaxstab import motion, point
 from jaxstab.arrays import Array, Numbers, is_any_jax, is_any_traced, named, pytree
+from jaxstab.boxes import HandRange, RobustLimit
 from jaxstab.conventions import HORIZON, Excitation, Range, Verdict
 from jaxstab.exact import StableLine, wall_verdict
 from jaxstab.loop.answers import Answers
+from jaxstab.loop.backwards import StableValues, range_of
+from jaxstab.loop.hands import HandFamily, WorstHand
+from jaxstab.loop.jitter import (
+    Jitter,
+    MovingLimits,
+    WorstDelays,
+    each_wall,
+    jitter_margin,
+    turn_of,
+)
+from jaxstab.loop.many import given_loops
 from jaxstab.loop.margins import (
     FrequencyMargins,
     Margins,
@@ -30,23 +42,19 @@ from jaxstab.loop.region import (
     reached_interval,
     region_of_loop,
 )
+from jaxstab.loop.tune import optimal_wall
+from jaxstab.loop.usable import UsableLimits
 from jaxstab.model import LoopParameters, by_name, checked_gain
 from jaxstab.model.affine import Chart, WallParts
 from jaxstab.model.device.device import in_steps
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
+from jaxstab.model.filters import given_filters
 from jaxstab.model.gain import WALL
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.model.loop import array_fields, refuse_arrays
 from jaxstab.model.plant import wall_grid
 from jaxstab.numbers import checked, checked_number, checked_word, require_together
 from jaxstab.region.passive import PassiveRegion, passive_region_of
-
-if TYPE_CHECKING:
-    from jaxstab.boxes import HandRange, RobustLimit
-    from jaxstab.loop.backwards import StableValues
-    from jaxstab.loop.hands import WorstHand
-    from jaxstab.loop.jitter import MovingLimits, MovingLoop, WorstDelays
-    from jaxstab.loop.usable import UsableLimits
 
 
 @pytree
@@ -155,14 +163,14 @@ class HapticLoop(LoopParameters, Answers):
     def limits(self) -> Limits[float]: ...
 
     @overload
-    def limits(self, *, delays: Range, lost: int = 0) -> "MovingLimits": ...
+    def limits(self, *, delays: Range, lost: int = 0) -> MovingLimits: ...
 
     @overload
-    def limits(self, **margins: Any) -> "UsableLimits": ...
+    def limits(self, **margins: Any) -> UsableLimits: ...
 
     def limits(
         self, *, delays: Range | None = None, lost: int = 0, **margins: Any
-    ) -> "Limits[float] | MovingLimits | UsableLimits":
+    ) -> Limits[float] | MovingLimits | UsableLimits:
         """The largest stiffness and the largest damping that the loop allows, of walls K, B >= 0.
 
         They hold for the stable component that contains small gains; the limits of islands, which
@@ -198,9 +206,9 @@ class HapticLoop(LoopParameters, Answers):
         if delays is not None or lost:
             return self._moving(delays, lost).limits()
         if is_any_traced(self):
-            from jaxstab.loop.many import limits_of
+            from jaxstab.loop.implicit import moved  # which imports JAX
 
-            return limits_of(self)._replace(is_single=True)
+            return moved(*given_loops(self, {}), outlines=False).limits._replace(is_single=True)
         return self.region().limits()
 
     def stiffness_limits(self, damping: Numbers) -> Float64[Array, "*grid 2"]:
@@ -282,11 +290,11 @@ class HapticLoop(LoopParameters, Answers):
         stiffness: float,
         damping: float,
         *,
-        hands: "HandRange | None" = None,
+        hands: HandRange | None = None,
         mass: Range | None = None,
         between: Range | None = None,
         count: int | None = None,
-    ) -> "StableValues":
+    ) -> StableValues:
         """The values of one quantity with which a wall is stable, such as the least mass.
 
         Each end is proved from both sides; that there is no other interval is a scan. It takes a
@@ -311,8 +319,6 @@ class HapticLoop(LoopParameters, Answers):
             >>> f"{1e3 * loop.range_of('delay', 1000.0, 10.0).largest:.6f} ms"
             '7.136955 ms'
         """
-        from jaxstab.loop.backwards import range_of
-
         wall = Gains(*map(checked_number, ("stiffness", "damping"), (stiffness, damping)))
         options: Any = {"hands": hands, "mass": mass, "between": between, "count": count}
         return range_of(self.in_floats(), quantity, wall, **options)
@@ -386,13 +392,11 @@ class HapticLoop(LoopParameters, Answers):
             >>> print(f"settles in {1e3 * loop.tune().settling_time:.0f} ms")
             settles in 6 ms
         """
-        from jaxstab.loop.tune import optimal_wall
-
         return optimal_wall(self, goal, stiffness, level, excitation, encoder, chatter)
 
     def worst_hand(
         self,
-        hands: "HandRange",
+        hands: HandRange,
         stiffness: float,
         damping: float,
         *,
@@ -400,7 +404,7 @@ class HapticLoop(LoopParameters, Answers):
         delay: Range | None = None,
         delays: Range | None = None,
         lost: int = 0,
-    ) -> "WorstHand":
+    ) -> WorstHand:
         """The verdict on a wall for every hand of a range, and the worst of the sampled hands.
 
         Each hand, like the rest of the loop, is constant while the wall is touched; with ``delays``
@@ -432,19 +436,17 @@ class HapticLoop(LoopParameters, Answers):
             'STABLE'
         """
         wall = (checked_number("stiffness", stiffness), checked_number("damping", damping))
-        from jaxstab.loop.hands import LoopsWithHands
-
-        return LoopsWithHands(self, hands, mass, delay, delays, lost).worst(*wall)
+        return HandFamily(self, hands, mass, delay, delays, lost).worst(*wall)
 
     def robust_limit(
         self,
-        hands: "HandRange",
+        hands: HandRange,
         *,
         mass: Range | None = None,
         delay: Range | None = None,
         delays: Range | None = None,
         lost: int = 0,
-    ) -> "RobustLimit":
+    ) -> RobustLimit:
         """The largest stiffness, and its damping, that every hand of a range allows.
 
         The corners of the range, and the hands at which a proof failed, set the limit, by their
@@ -468,9 +470,7 @@ class HapticLoop(LoopParameters, Answers):
             >>> loop.robust_limit(jaxstab.HandRange(mass=(0.0, 1.0))).is_proved
             True
         """
-        from jaxstab.loop.hands import LoopsWithHands
-
-        return LoopsWithHands(self, hands, mass, delay, delays, lost).robust_limit()
+        return HandFamily(self, hands, mass, delay, delays, lost).robust_limit()
 
     @overload  # type: ignore[override] # of gains by place
     def verdict(
@@ -624,7 +624,7 @@ class HapticLoop(LoopParameters, Answers):
         stiffness: Numbers,
         damping: Numbers,
         *,
-        hands: "HandRange | None" = None,
+        hands: HandRange | None = None,
         mass: Range | None = None,
     ) -> Float64[np.ndarray, "*grid"]:
         """The proved range, in s, by which the delay of each sample may exceed the loop's own.
@@ -652,20 +652,16 @@ class HapticLoop(LoopParameters, Answers):
             >>> print(f"{1e3 * loop.jitter_margin(1000.0, 20.0):.2f} of {1e3 * constant:.2f} ms")
             4.21 of 5.76 ms
         """
-        from jaxstab.loop.jitter import each_wall, jitter_margin
-
         if hands is None:
             if mass is not None:
                 raise TypeError(f"mass is {mass} without hands; give hands=jaxstab.HandRange().")
             return jitter_margin(self.in_floats(), stiffness, damping)
-        from jaxstab.loop.hands import LoopsWithHands
-
-        with_hands = LoopsWithHands(self, hands, mass, delays=(self.delay, self.delay))
+        with_hands = HandFamily(self, hands, mass, delays=(self.delay, self.delay))
         return each_wall(with_hands.jitter_margin, np.float64, stiffness, damping)
 
     def worst_delays(
         self, stiffness: float, damping: float, *, delays: Range, lost: int = 0
-    ) -> "WorstDelays":
+    ) -> WorstDelays:
         """Search for delays in turn that make the motion grow, and prove that it does.
 
         All short patterns of the shortest and the longest delay are tried, and the best changed
@@ -833,8 +829,6 @@ class HapticLoop(LoopParameters, Answers):
         refuse_arrays(self)
         turn = None
         if delays is not None:
-            from jaxstab.loop.jitter import turn_of
-
             if is_any_traced(stiffness, damping, force, initial_velocity, initial_position):
                 raise TypeError(
                     "a value is traced; with delays give numbers, outside of jit and grad."
@@ -895,6 +889,13 @@ class HapticLoop(LoopParameters, Answers):
         return (self.body.stiffness, self.gamma) if self.body else (0.0, 0.0)
 
     @property
+    def _linear_rule(self) -> tuple[float, float] | None:
+        """None with an estimator, a filter or a mode: the rule is for none of them."""
+        if self.body is None or given_filters(**self.filters):
+            return None
+        return float(self.body.damping), float(self.delay + 0.5 * self.sample_time)
+
+    @property
     def _held(self) -> LoopParameters | None:
         plain = self.in_floats()
         return None if in_steps(plain.held_device) else plain
@@ -904,10 +905,8 @@ class HapticLoop(LoopParameters, Answers):
             return super()._on_grid(question, units)
         return getattr(point, question)(*units, **self.slice, **options, **self.filters)
 
-    def _moving(self, delays: Range | None, lost: int) -> "MovingLoop":
-        from jaxstab.loop.jitter import MovingLoop
-
-        return MovingLoop.from_loop(self, delays, lost)
+    def _moving(self, delays: Range | None, lost: int) -> Jitter:
+        return Jitter.from_loop(self, delays, lost)
 
     def _refuse_tracers(self, method: str) -> None:
         """Refuse a loop that JAX traces: the method searches outside of JAX."""

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from jaxstab.arrays import Array, is_any_jax, is_any_traced, leaves, namespace, take, tree_map
+from jaxstab.arrays import Array, is_any_jax, leaves, namespace, take, tree_map
 from jaxstab.batches import ahead, alike, in_float64
 from jaxstab.conventions import Verdict
 from jaxstab.exact import TripleAt
@@ -43,7 +43,7 @@ from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import NO_FILTERS, Filters, behind_measured, exact_chain, given_filters
 from jaxstab.model.gain import WALL, Gain
 from jaxstab.model.linear_loop import companion_matrix, filter_factors, filtered_loop
-from jaxstab.model.loop import MECHANICS, array_fields, as_one
+from jaxstab.model.loop import array_fields, as_one
 from jaxstab.numbers import require_together
 from jaxstab.point.polynomials import codes_in_float64
 from jaxstab.region import RegionStatus
@@ -51,7 +51,6 @@ from jaxstab.region.curve import Angles
 from jaxstab.region.measures import vertex_roots
 
 if TYPE_CHECKING:
-    from jaxstab.loop.loop import HapticLoop
     from jaxstab.region.batch import Extremes, Triples
 
 _VERTICES = 295  # of an outline
@@ -92,67 +91,6 @@ class Formed(NamedTuple):
 _Group = tuple[list[Formed], "Triples", Callable[..., Any]]
 
 
-def limits_of(
-    loops: "Sequence[HapticLoop] | Sequence[Loop] | HapticLoop", **fields: Any
-) -> Limits[Array]:
-    """Return the largest stiffness and the largest damping that each of many loops allows.
-
-    Give a list of loops, or one whose fields are arrays that broadcast; or a list of ``Loop``, of
-    any two gains each.
-
-    The answers are those of ``HapticLoop.limits`` to 1e-9, without islands. Batches of at least 400
-    loops of about the same degree (200 above degree 25, 100 above 41) are computed by one program
-    of JAX, in float64 whatever its flag says, and first compiled in 10 to 20 s
-    (``use_compilation_cache`` keeps that). Loops that it does not resolve, and those of smaller
-    batches, are answered one by one.
-
-    Where JAX traces loops or fields, the answers are arrays of JAX, differentiable once: by all
-    numbers of loops of one mass and their filters, by the implicit function theorem. Inside jit,
-    512 or more loops of one delay, estimator and filter, none of them traced, are computed by the
-    program of a batch as part of the caller's; those that it cannot resolve are UNRESOLVED. All
-    others are searched one by one there, by a callback.
-
-    A batch has tests in place of the proved lines of a single region: what none of them would
-    notice is a stable set that is cut or dented between two of the 148 to 1,348 angles of its scan.
-    Of 9,200 loops drawn to be hard (strongly damped hands, windows to 20, filters, delays to 12
-    samples) and 36,000 random ones (modes too, delays to 30) none was wrong.
-
-    Args:
-        loops: any number of loops, of any estimators, filters, devices and delays. Batches of loops
-            with the same estimator and filter are the fastest.
-        **fields: beside one loop, fields of ``HapticLoop`` that replace its own, as arrays or
-            lists that broadcast with the others: numbers, estimators or devices.
-
-    Returns:
-        Limits of arrays in the order of the loops, or of the shape of the fields; those of loops of
-        different gains are ``first`` and ``second`` alone. Admittances that differ in T and Ke
-        alone, or in a spring in proportion to Ke, are computed once.
-
-    Raises:
-        TypeError: this is no list, or an item is no HapticLoop; a field is unknown, or beside a
-            list; JAX traces a loop whose device is not one mass.
-        ValueError: as ``HapticLoop.region``, for any of the loops.
-
-    Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
-
-    Example:
-        >>> loops = [
-        ...     jaxstab.HapticLoop(device_mass=mass, device_damping=0.1, sample_time=1e-3)
-        ...     for mass in (0.1, 0.2)
-        ... ]
-        >>> jaxstab.limits_of(loops).stiffness.round().tolist()
-        [68763.0, 137392.0]
-        >>> delays = np.array([[0.0], [1e-3]])
-        >>> loop = jaxstab.HapticLoop(
-        ...     device_mass=[0.1, 0.2], device_damping=0.1, sample_time=1e-3, delay=delays
-        ... )
-        >>> jaxstab.limits_of(loop).stiffness.round()
-        array([[ 68763., 137392.],
-               [ 14498.,  28945.]])
-    """
-    return _answered(loops, fields, outlines=False).limits
-
-
 class ManyRegions(NamedTuple):
     """The stable walls of each loop that are connected to zero gains, without islands.
 
@@ -174,54 +112,21 @@ class ManyRegions(NamedTuple):
     limits: Limits[Array]
 
 
-def regions_of(
-    loops: "Sequence[HapticLoop] | Sequence[Loop] | HapticLoop", **fields: Any
+def computed(
+    many: Any, fields: dict[str, Any], shape: tuple[int, ...], *, outlines: bool
 ) -> ManyRegions:
-    """Return outlines and areas of the stable regions of many loops.
-
-    They are those of ``HapticLoop.region().main``, computed as ``limits_of`` computes limits; see
-    there for the batches, what they cost, and what their tests do not notice. Areas agree to 1e-6.
-
-    Where JAX traces loops or fields, the answers are differentiable once, as those of ``limits_of``
-    are. A vertex at a corner moves with that corner. Any other vertex moves at a right angle to the
-    boundary, in units of alpha and beta: how it moves along the boundary changes no region. All is
-    NaN there for a region with holes.
-
-    Args and Raises: as ``limits_of``.
-
-    Returns:
-        ManyRegions in the order of the loops, or of the shape of the fields.
-
-    Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
-
-    Example:
-        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=0.1, sample_time=1e-3)
-        >>> regions = jaxstab.regions_of(loop, device_mass=[0.1, 0.2])
-        >>> stiffness, damping = regions.outline[1].T
-        >>> round(float(stiffness.max() / regions.limits.stiffness[1]), 9)
-        1.0
-    """
-    return _answered(loops, fields, outlines=True)
-
-
-def _answered(loops: Any, fields: dict[str, Any], *, outlines: bool) -> ManyRegions:
-    """The limits of many loops and, with ``outlines``, their outlines and areas."""
-    many, fields, shape = _given(loops, fields)
-    if is_any_traced(many, fields):
-        from jaxstab.loop.implicit import moved_columns, moved_together
-
-        are_columns = prod(shape) > 1 and fields.keys() <= {*MECHANICS}
-        if are_columns and isinstance(many, LoopParameters) and many.device is None:
-            columns = {name: _column(x, shape) for name, x in fields.items()}
-            answer = moved_columns(many, columns, outlines=outlines)
-        else:
-            answer = moved_together(_varied(many, fields, shape), outlines=outlines)
-    elif isinstance(many, list) and many and all(isinstance(loop, Loop) for loop in many):
+    """The limits of loops that JAX does not trace and, with ``outlines``, outlines and areas."""
+    if isinstance(many, list) and many and all(isinstance(loop, Loop) for loop in many):
         stacks, kinds = [Stack(np.arange(len(many)), many)], {loop.gains for loop in many}
         gains = kinds.pop() if len(kinds) == 1 else (Gain("first"), Gain("second"))
         answer = _searched(stacks, gains, outlines=outlines)
     else:
         answer = _searched(_stacks(many, fields, shape), WALL, outlines=outlines)
+    return in_shape(answer, shape)
+
+
+def in_shape(answer: ManyRegions, shape: tuple[int, ...]) -> ManyRegions:
+    """Answers to a list of loops in the shape of their fields."""
     return tree_map(lambda column: column.reshape((*shape, *column.shape[1:])), answer)
 
 
@@ -285,7 +190,7 @@ def singles(stacks: list[Stack], chosen: Bool[np.ndarray, " loop"]) -> Iterator[
             yield int(members[place]), replace(loop, **one)
 
 
-def _given(loops: Any, fields: dict[str, Any]) -> tuple[Any, dict[str, Any], tuple[int, ...]]:
+def given_loops(loops: Any, fields: dict[str, Any]) -> tuple[Any, dict[str, Any], tuple[int, ...]]:
     """Return a list of loops, or one and the fields that vary, and the shape of the answers."""
     if isinstance(loops, LoopParameters):
         own = array_fields(loops)
@@ -302,17 +207,18 @@ def _given(loops: Any, fields: dict[str, Any]) -> tuple[Any, dict[str, Any], tup
     return many, {}, (len(many),)
 
 
-def _varied(given: Any, fields: dict[str, Any], shape: tuple[int, ...]) -> list[Any]:
+def varied_loops(given: Any, fields: dict[str, Any], shape: tuple[int, ...]) -> list[Any]:
     """Return loops one by one."""
     if isinstance(given, list):
         return given
-    arrays = (_column(x, shape) for x in fields.values())
+    arrays = (column_of(x, shape) for x in fields.values())
     columns = (x.tolist() if isinstance(x, np.ndarray) else list(x) for x in arrays)
     rows = zip(*columns, strict=True) if fields else [()]
     return [replace(given, **dict(zip(fields, row, strict=True))) for row in rows]
 
 
-def _column(values: Any, shape: tuple[int, ...]) -> Array:
+def column_of(values: Any, shape: tuple[int, ...]) -> Array:
+    """The values of a field for each of many loops."""
     column: Array = namespace(values).broadcast_to(values, shape).ravel()
     return column
 
@@ -321,7 +227,7 @@ def _stacks(given: Any, fields: dict[str, Any], shape: tuple[int, ...]) -> list[
     """Return loops that JAX does not trace, in stacks."""
     filters = "velocity", "position"
     if isinstance(given, list) or given.device is not None or "device" in fields:
-        return stacked(_varied(given, fields, shape))
+        return stacked(varied_loops(given, fields, shape))
     require_x64(*leaves(fields, plain=False))
     loop = in_floats(given)
     columns = {name: np.broadcast_to(np.asarray(x), shape).ravel() for name, x in fields.items()}
@@ -348,12 +254,11 @@ def stacked(many: Sequence[Any]) -> list[Stack]:
     return stacks
 
 
-def in_floats(loop: Any) -> "HapticLoop":
+def in_floats(loop: Any) -> Any:
     """Return a loop with floats; TypeError for what is no loop."""
     if not isinstance(loop, LoopParameters):
         raise TypeError(f"loops has {loop!r}; give a HapticLoop for each.")
-    floats: Any = loop.in_floats()
-    return floats
+    return loop.in_floats()
 
 
 def _searched(stacks: list[Stack], gains: tuple[Gain, Gain], *, outlines: bool) -> ManyRegions:
@@ -552,7 +457,7 @@ def triples_of_masses(gamma: Array, delta: Array, form: Form) -> "Triples | None
     return None if degree is None else _triples(formed, degree)
 
 
-def _kind(loop: "HapticLoop") -> Hashable:
+def _kind(loop: LoopParameters) -> Hashable:
     """The kind that loops of a stack share: a device that is not one mass is by itself."""
     if loop.body is None:
         return loop

@@ -328,9 +328,10 @@ def margins(
     code, *found = asked_of_lanes(ask, loop_of, arrays, count, is_count=True)
     ends = xp.stack(found[::2], axis=-1)
     if is_jax(point):
-        from jaxstab.loop.implicit import moving_ends
+        from jaxstab.loop.crossings import moving_ends  # which imports JAX
 
-        ends = moving_ends(point, ends, xp.stack(found[1::2], axis=-1), filters)
+        axes = np.array([axis for axis, _ in WAYS])
+        ends = moving_ends(point, ends, xp.stack(found[1::2], axis=-1), axes, filters)
     alone = ends[..., :4].reshape(*ends.shape[:-1], 2, 2)
     return margins_of(point[..., :2], code, alone, None, ends[..., 4], ALPHA_BETA)
 

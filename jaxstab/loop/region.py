@@ -16,12 +16,13 @@ from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from functools import cached_property, lru_cache, partial
 from math import isfinite, isinf, nan
-from typing import Any, Generic, NamedTuple, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Self, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Array, Numbers, are_numbers, float_arrays, is_jax, namespace
+from jaxstab.drawing import Floats, cover_beyond, with_gaps
 from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.exact.line import StableLine
 from jaxstab.loop.gains import TwoGains, by_gain
@@ -41,6 +42,9 @@ from jaxstab.shown import (
     text_with_bound,
 )
 from jaxstab.tuning import TuningStatus
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 TOLERANCE = 1e-6  # of the outline, by default
 Number = TypeVar("Number", float, Array)
@@ -305,6 +309,19 @@ class Region(ShownRegion):
         return self.in_si_units(self.region.points)
 
     @property
+    def _drawn(self) -> Floats:
+        """The outline with NaN between two loops."""
+        return with_gaps(self.outline, self.region.branch)
+
+    def _write_axes(self, panel: "Axes") -> None:
+        """Name the coordinates, and cover those beyond infinite gains, or a gain of 0."""
+        chart = self.loop._chart
+        ends = "infinite gains", *(f"{gain.name} = 0" for gain in self.loop.gains)
+        cover_beyond(panel, chart.shares, ends[chart.pivot])
+        first, second = (f"{gain.name} " * bool(gain.symbol) + gain.label for gain in self.names)
+        panel.set(xlabel=first, ylabel=second)
+
+    @property
     def corners(self) -> Float64[np.ndarray, "corner 2"]:
         """The points where two branches of the boundary meet."""
         return self.in_si_units(self.region.corners)
@@ -494,7 +511,7 @@ class Region(ShownRegion):
         doubted = (widths == 0.0) | np.any((told == 0.0) & (intervals != 0.0), axis=-1)
         known = np.broadcast_to(gains, doubted.shape)
         for place in map(tuple, np.argwhere(doubted)):
-            line = loop.intervals(**{self.names[axis].name: float(known[place])})
+            line = loop._row(self.names[axis].name, float(known[place]))
             own, middle = intervals[place], np.mean(intervals[place])
             proved = [[low.told, high.told] for low, high in line.intervals]
             beside = [ends for ends in proved if ends[0] <= middle <= ends[1]]
@@ -539,7 +556,7 @@ class Region(ShownRegion):
             return np.full(2, nan)
         best = gains[(np.argmin if is_least else np.argmax)(gains[:, axis])].copy()
         if np.all(np.isfinite(best)):
-            row = self.loop.intervals(**{self.loop.gains[1 - axis].name: float(best[1 - axis])})
+            row = self.loop._row(self.loop.gains[1 - axis].name, float(best[1 - axis]))
             ends = [pair[0 if is_least else 1] for pair in row.intervals]
             values = [end.value if end.value > end.error else 0.0 for end in ends]
             near = min(values, key=lambda value: abs(value - best[axis]), default=np.inf)
@@ -603,7 +620,7 @@ def printed_limit(
         return loop._is_stable(*((at, value) if axis else (value, at)))
 
     def row(at: float) -> list[Pair]:  # of which the upper ends are tried
-        inner = loop.intervals(**{other.name: at}).inner if is_largest else ()
+        inner = loop._row(other.name, at).inner if is_largest else ()
         below = ((low, min(high, value)) for low, high in inner)
         return [(low, high) for low, high in below if abs(value - high) < 0.01 * abs(value)]
 
@@ -623,7 +640,7 @@ def printed_limit(
 
 def other_gain(loop: TwoGains, axis: int, value: float, at: float) -> float:
     """The other gain at a value of one: a given one, or one inside of the nearest stable ones."""
-    line = loop.intervals(**{loop.gains[axis].name: value})
+    line = loop._row(loop.gains[axis].name, value)
     if not line.intervals or line.holding(at):
         return at
     nearest = min(line.intervals, key=lambda ends: max(ends[0].value - at, at - ends[1].value))
@@ -641,7 +658,7 @@ def reached_interval(loop: Any, gain: str, value: float) -> Float64[np.ndarray, 
     line is stable. None, for the region to answer, where there are several intervals, or where
     these walls are not all stable.
     """
-    line = loop.intervals(**{gain: value})
+    line = loop._row(gain, value)
     is_known = isinf(line.horizon)  # 0 where nothing is proved
     if not is_known or len(line.intervals) > 1 or not _pushes_back(loop):
         return None
@@ -649,7 +666,7 @@ def reached_interval(loop: Any, gain: str, value: float) -> Float64[np.ndarray, 
         return np.full(2, np.nan)
     ends = [end.told for end in line.intervals[0]]
     wall = {"stiffness": 0.0, "damping": sum(ends) / 2.0} | {gain: value}
-    row = line if gain == "damping" else loop.intervals(damping=wall["damping"])
+    row = line if gain == "damping" else loop._row("damping", wall["damping"])
     steps = (row, wall["stiffness"]), (_without_stiffness(loop), wall["damping"])
     return np.array(ends) if all(_goes_to(*step) for step in steps) else None
 
@@ -662,7 +679,7 @@ def _pushes_back(loop: Any) -> bool:
 
 @lru_cache(maxsize=64)
 def _without_stiffness(loop: Any) -> StableLine:
-    return loop.intervals(stiffness=0.0)
+    return loop._row("stiffness", 0.0)
 
 
 def _goes_to(line: StableLine, value: float) -> bool:

@@ -16,9 +16,9 @@ import numpy as np
 from jaxstab.conventions import Verdict
 from jaxstab.exact.line import LineStatus, StableLine
 from jaxstab.exact.margins import Reading
-from jaxstab.exact.usable import Judgement, Row, Search, judged
+from jaxstab.exact.usable import Judgement, Row, RowSearch, judged
 from jaxstab.loop.margins import delay_reading
-from jaxstab.loop.wanted import Wanted
+from jaxstab.loop.wanted import WantedMargins
 from jaxstab.model.device.parts import remembered
 from jaxstab.model.gain import Gain
 from jaxstab.shown import number_text, stable_pair
@@ -65,7 +65,7 @@ class UsableLimits(NamedTuple):
         return "\n".join(lines)
 
 
-def judgement(loop: Any, pair: tuple[float, float], wanted: Wanted) -> Judgement:
+def judgement(loop: Any, pair: tuple[float, float], wanted: WantedMargins) -> Judgement:
     """The judgement on a pair of gains: one that is not proved stable has no margins."""
     verdict = loop._verdict(*pair)
     if verdict != Verdict.STABLE:
@@ -74,7 +74,7 @@ def judgement(loop: Any, pair: tuple[float, float], wanted: Wanted) -> Judgement
     return judged(partial(loop._opened, *pair), wanted.wish(loop.sample_time), delay)
 
 
-def missed_margins(loop: Any, pair: tuple[float, float], wanted: Wanted) -> list[str] | None:
+def missed_margins(loop: Any, pair: tuple[float, float], wanted: WantedMargins) -> list[str] | None:
     """The margins in words that a stable pair of gains misses; None where that is not told."""
     names = {"phase": "phase_margin", "delay": "delay_margin", "sensitivity": "sensitivity"}
     found = judgement(loop, pair, wanted)
@@ -85,7 +85,7 @@ def missed_margins(loop: Any, pair: tuple[float, float], wanted: Wanted) -> list
 
 
 def usable_line(
-    loop: Any, start: tuple[float, float], along: tuple[float, float], wanted: Wanted
+    loop: Any, start: tuple[float, float], along: tuple[float, float], wanted: WantedMargins
 ) -> StableLine:
     """The usable gains start + t along, with the crossings of the stable ones."""
     if wanted.delay_margin is not None:
@@ -105,9 +105,9 @@ def _search(
     loop: Any,
     start: tuple[float, float],
     along: tuple[float, float],
-    wanted: Wanted,
+    wanted: WantedMargins,
     angles: Any = None,
-) -> Search:
+) -> RowSearch:
     if loop._only_few:
         names = " and ".join(gain.name for gain in loop.gains)
         raise ValueError(
@@ -127,7 +127,7 @@ def _search(
         return delay_reading(loop._held, *_pair(start, along, t))
 
     wish = wanted.wish(loop.sample_time)
-    return Search(row, wish, delay if loop._held else None, angles)
+    return RowSearch(row, wish, delay if loop._held else None, angles)
 
 
 def _pair(start: tuple[float, float], along: tuple[float, float], t: float) -> tuple[float, float]:
@@ -139,7 +139,7 @@ _ROWS = 9  # on a scale of numbers, and fewer on one of logarithms
 _PEAKS = 2  # that are searched
 
 
-def usable_limits(loop: Any, wanted: Wanted) -> UsableLimits:
+def usable_limits(loop: Any, wanted: WantedMargins) -> UsableLimits:
     """The largest usable gains of the component that holds small gains, or of all."""
     region = loop.region()
     main = region.main or region
@@ -155,7 +155,7 @@ def usable_limits(loop: Any, wanted: Wanted) -> UsableLimits:
 class _Tops:
     """The uppermost gains of an axis that seem usable, over the other gain."""
 
-    def __init__(self, loop: Any, axis: int, main: Any, wanted: Wanted) -> None:
+    def __init__(self, loop: Any, axis: int, main: Any, wanted: WantedMargins) -> None:
         self.loop, self.axis, self.main, self.wanted = loop, axis, main, wanted
         self.is_sure = False
         self.most = float(np.max(main.outline[:, 1 - axis]))

@@ -9,7 +9,7 @@ from jaxstab.numbers import checked_number, has_shape
 from jaxstab.shown import number_text, shortened
 
 
-class Wanted(NamedTuple):
+class WantedMargins(NamedTuple):
     """Margins that gains shall have; None for one that does not matter."""
 
     phase_margin: float | None = None
@@ -24,7 +24,7 @@ class Wanted(NamedTuple):
         gain_margin: Any = None,
         sensitivity: Any = None,
         delay_margin: Any = None,
-    ) -> "Wanted":
+    ) -> "WantedMargins":
         """The margins, refused unless each makes sense; there may be none."""
         if phase_margin is not None:
             phase_margin = checked_number(
@@ -80,4 +80,4 @@ class Wanted(NamedTuple):
 
 def margins_in_words(margins: Mapping[str, Any]) -> str:
     """Margins, by the names of their keywords, in one phrase."""
-    return Wanted.checked(**margins).words
+    return WantedMargins.checked(**margins).words

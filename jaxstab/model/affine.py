@@ -27,9 +27,9 @@ import numpy as np
 
 from jaxstab.arrays import Array
 from jaxstab.model.balls import (
-    BallLoop,
     Factored,
-    Plant,
+    LoopFactors,
+    SampledDevice,
     Triple,
     ball_loop,
     ball_triple,
@@ -390,9 +390,9 @@ class CouplingParts(AffineParts):
             return one.plus(_late(other, lag1 - shared).times(first))
 
         velocity = both(v1, v2) if v1 and v2 else None
-        whole = Plant(both(n1, n2), d1.times(second), max(lag1, lag2), velocity)
+        whole = SampledDevice(both(n1, n2), d1.times(second), max(lag1, lag2), velocity)
         filters = given_filters(self.velocity, None) or NO_FILTERS
-        return BallLoop.from_plant(whole, self.sample_time, filters).triple
+        return LoopFactors.from_plant(whole, self.sample_time, filters).triple
 
 
 def _late(part: Factored, samples: int) -> Factored:

@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from math import inf, nextafter
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from jaxstab.model.device.device import Device, in_steps
 from jaxstab.model.device.parts import (
@@ -43,6 +43,7 @@ from jaxstab.model.filters import (
     Filter,
     Filters,
     Section,
+    Velocity,
     behind_measured,
     exact_chain,
     given_filters,
@@ -54,7 +55,32 @@ from jaxstab.rounding import PAIR_UNIT, RAISED
 if TYPE_CHECKING:
     from flint import arb, arb_poly, fmpq_poly
 
-    from jaxstab.model.loop import LoopParameters
+
+class Sampled(Protocol):
+    """What balls need of a loop (``jaxstab.model.LoopParameters``): SI units, the delay too."""
+
+    @property
+    def held_device(self) -> Device:
+        """The device with its hand."""
+
+    @property
+    def sample_time(self) -> Any:
+        """In s."""
+
+    @property
+    def delay_samples(self) -> Any:
+        """In samples."""
+
+    @property
+    def velocity(self) -> Velocity | None:
+        """The estimator."""
+
+    @property
+    def position(self) -> Filter | None:
+        """The filter."""
+
+    def in_floats(self) -> Any:
+        """The loop in plain numbers."""
 
 
 class Factored(NamedTuple):
@@ -262,7 +288,7 @@ def _over_shared(parts: Iterable[Factored]) -> "tuple[list[arb_poly], tuple[int,
     return [part.polynomial() for part in divided], shared
 
 
-class Plant(NamedTuple):
+class SampledDevice(NamedTuple):
     """A device z^-lag N/D behind its hold; ``velocity`` is N of a second output, if it has one."""
 
     numerator: Factored
@@ -272,7 +298,7 @@ class Plant(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class BallLoop:
+class LoopFactors:
     """A loop by its parts: the plant z^-lag N/D, P = Np/Dp and V = Nv/Dv, V in 1/s.
 
     N is in m/N; D, Dp and Dv have no roots at 1 or -1 but those that are counted. Where the
@@ -288,7 +314,7 @@ class BallLoop:
     yielding: float | None = None
 
     @classmethod
-    def from_plant(cls, plant: Plant, period: float, filters: Filters) -> "BallLoop":
+    def from_plant(cls, plant: SampledDevice, period: float, filters: Filters) -> "LoopFactors":
         """A plant behind an estimator and a filter."""
         one, behind = Factored(flint.arb_poly([1])), behind_measured(filters[0])
         chains = filters[1], filters[0].filter if behind is None else behind
@@ -302,12 +328,12 @@ class BallLoop:
         )
 
     @classmethod
-    def from_triple(cls, triple: Triple) -> "BallLoop":
+    def from_triple(cls, triple: Triple) -> "LoopFactors":
         """A loop of which only the parts of p(z) are known."""
         one = Factored(flint.arb_poly([1]))
         return cls(one, triple.base, 0, (triple.stiffness, one), (triple.damping, one))
 
-    def scaled(self, units: tuple[float, float], radius: float) -> "BallLoop":
+    def scaled(self, units: tuple[float, float], radius: float) -> "LoopFactors":
         """The loop of K and B in these units, around a circle of this radius."""
         stiffness, damping = units
 
@@ -315,7 +341,7 @@ class BallLoop:
             return part if radius == 1.0 else part.of_radius(radius)
 
         (above_p, below_p), (above_v, below_v) = self.position, self.velocity
-        return BallLoop(
+        return LoopFactors(
             around(self.numerator),
             around(self.denominator).scaled(flint.arb(radius) ** self.lag),
             self.lag,
@@ -347,7 +373,7 @@ class BallLoop:
         return Triple.from_parts(self.free, *by_gains, yielding=self.yielding)
 
 
-def ball_triple(loop: "LoopParameters") -> Triple:
+def ball_triple(loop: Sampled) -> Triple:
     """The triple of a loop in balls of the precision that is set; the last ones are remembered.
 
     Raises: TypeError if JAX traces the loop or its fields are arrays; ValueError for a device that
@@ -356,16 +382,18 @@ def ball_triple(loop: "LoopParameters") -> Triple:
     return ball_loop(loop).triple
 
 
-def ball_loop(loop: "LoopParameters") -> BallLoop:
+def ball_loop(loop: Sampled) -> LoopFactors:
     """The parts of a loop, otherwise as ``ball_triple``."""
     return _ball_loop(loop.in_floats())
 
 
 @remembered(128)
-def _ball_loop(loop: "LoopParameters") -> BallLoop:
+def _ball_loop(loop: Sampled) -> LoopFactors:
     filters = given_filters(loop.velocity, loop.position) or NO_FILTERS
     device, period = loop.held_device, loop.sample_time
-    parts = BallLoop.from_plant(plant_in_balls(device, period, loop.delay_samples), period, filters)
+    parts = LoopFactors.from_plant(
+        plant_in_balls(device, period, loop.delay_samples), period, filters
+    )
     if parts.velocity[0].at_one:  # a velocity that is 0 at rest
         parts = replace(parts, yielding=_yielding(device, filters[1].per_sample(period)))
     return parts
@@ -388,13 +416,13 @@ def _yielding(device: Device, position: Filter) -> float | None:
     return float(number)
 
 
-def plant_in_balls(device: Device, period: float, delay: float) -> Plant:
+def plant_in_balls(device: Device, period: float, delay: float) -> SampledDevice:
     """A device behind its hold and a delay in samples."""
     own = in_steps(device)
     if own:
         rational, outputs, lag = own.sampled(period, delay)
         position, *velocity = map(Factored.from_rational, outputs)
-        return Plant(position, Factored.from_rational(rational), lag, *velocity)
+        return SampledDevice(position, Factored.from_rational(rational), lag, *velocity)
     _refuse_between_samples(device, period)
     whole, fraction = divmod(delay, 1.0)
     sample = one_sample(device, period)
@@ -409,7 +437,7 @@ def plant_in_balls(device: Device, period: float, delay: float) -> Plant:
     parity, *both = {power % 2 for power, product in terms if not product.is_zero()}
     at_minus_one = int(not both and fraction == 0.5 * parity)
     numerator = known_out(known_out(numerator, 1, zeros), -1, at_minus_one)
-    return Plant(
+    return SampledDevice(
         Factored(numerator, 0, zeros, at_minus_one),
         Factored(known_out(denominator, 1, rigid), 0, rigid),
         int(whole) + (fraction > 0.0),
@@ -471,7 +499,7 @@ def in_fractions(sections: tuple[Section, ...]) -> "tuple[fmpq_poly, fmpq_poly]"
 
 
 @lru_cache(maxsize=64)
-def linear_loop(loop: "LoopParameters", units: tuple[float, float]) -> LinearLoop:
+def linear_loop(loop: Sampled, units: tuple[float, float]) -> LinearLoop:
     """A loop in plain numbers, of gains in units: alpha is K times the first one."""
     return rounded_triple(lambda: ball_triple(loop), *units)
 

@@ -23,7 +23,7 @@ from typing import Any, Union
 
 import numpy as np
 
-from jaxstab.arrays import Array, is_jax, kept, namespace, pytree, tree_map
+from jaxstab.arrays import Array, is_jax, kept, load_jax, namespace, pytree, tree_map
 
 _UPPER_HALF = np.uint64(0xFFFFFFFFF8000000)  # sign, exponent and 26 bits of the significand
 _FLOAT, _BITS = Struct("<d"), Struct("<Q")
@@ -158,9 +158,7 @@ def size_sum(numbers: Iterable[Factor]) -> Array:
 
 @cache
 def _differentiable(operation: Operation) -> Operation:
-    import jax
-
-    with_slopes: Any = jax.custom_jvp(operation)
+    with_slopes: Any = load_jax().custom_jvp(operation)
 
     def moved(numbers: tuple[Any, ...], moves: tuple[Any, ...]) -> tuple[DoubleDouble, ...]:
         result = with_slopes(*numbers)
@@ -209,8 +207,7 @@ def _halves(a: Array) -> tuple[Array, Array]:
         (bits,) = _BITS.unpack(_FLOAT.pack(a))
         (high,) = _FLOAT.unpack(_BITS.pack(bits & int(_UPPER_HALF)))
     elif is_jax(a):
-        from jax import lax
-
+        lax = load_jax().lax
         bits = lax.bitcast_convert_type(a, np.uint64) & _UPPER_HALF
         high = lax.bitcast_convert_type(bits, np.float64)
     else:

@@ -246,7 +246,7 @@ class Butterworth(LowPass):
 
 @pytree
 @dataclass(frozen=True)
-class Rational(Section):
+class TransferSection(Section):
     """A transfer function in z by its coefficients, highest power first."""
 
     numerator: tuple[float, ...] = fixed()
@@ -264,7 +264,7 @@ class Rational(Section):
 
 @pytree
 @dataclass(frozen=True)
-class Differentiator(Rational):
+class Differentiator(TransferSection):
     """A transfer function V(z) with V(1) = 0, less one difference: period V(z) z / (z - 1)."""
 
     period: Numbers = 1.0
@@ -284,7 +284,7 @@ class Differentiator(Rational):
     @property
     def toml(self) -> dict[str, Any]:
         numerator = tuple(c * self.period for c in self.numerator)
-        return Rational(numerator, self.denominator).toml
+        return TransferSection(numerator, self.denominator).toml
 
 
 @pytree
@@ -568,7 +568,7 @@ class Filter:
         Raises: ValueError also if the filter is not proper, not stable, zero, or of an order above
         40.
         """
-        return cls((Rational(*_checked_rational(numerator, denominator)),))
+        return cls((TransferSection(*_checked_rational(numerator, denominator)),))
 
     def __mul__(self, other: "Filter") -> "Filter":
         if not isinstance(other, Filter):

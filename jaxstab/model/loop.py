@@ -16,6 +16,7 @@ from jaxstab.arrays import (
     is_any_traced,
     is_jax,
     is_traced,
+    load_jax,
     namespace,
 )
 from jaxstab.model.balls import linear_loop
@@ -227,9 +228,8 @@ class LoopParameters:
                 "the loop is traced; give one of concrete numbers, made outside of jit, vmap and "
                 "grad."
             )
-        import jax
-
-        return jax.tree.map(float, self)
+        floats: Self = load_jax().tree.map(float, self)
+        return floats
 
     @property
     def delay_samples(self) -> Numbers:

@@ -122,7 +122,7 @@ class Flow(NamedTuple):
     step: Array
 
 
-class Plant(NamedTuple):
+class SwitchedMass(NamedTuple):
     """One mass whose force changes in turn.
 
     gamma, half_damping: of the equation of motion; square: the w^2 above.
@@ -142,7 +142,7 @@ class Plant(NamedTuple):
     oldest: int
 
     @classmethod
-    def from_delays(cls, gamma: float, delta: float, delays: tuple[float, ...]) -> "Plant":
+    def from_delays(cls, gamma: float, delta: float, delays: tuple[float, ...]) -> "SwitchedMass":
         """Return the plant; delays in samples, in turn, infinite for a lost sample."""
         fastest = max(delta, sqrt(gamma))
         ages, lengths = pieces(delays, fastest)
@@ -275,7 +275,7 @@ def functions(value: Array) -> Any:
 
 
 Mechanism: TypeAlias = Any
-"""The moving device: a ``Plant``, or a ``Handle``, whose methods have the same meaning."""
+"""The moving device: a ``SwitchedMass``, or a ``Handle``, whose methods have the same meaning."""
 
 
 class Sides(NamedTuple):
@@ -302,7 +302,7 @@ def contacts(
         summary = _of_tile(arrays, controller, own, samples, **fixed)
         return Summary(*(column[: members.size] for column in summary))
 
-    tile = TILE if isinstance(plant, Plant) else TILE // 32  # of any device, with its series
+    tile = TILE if isinstance(plant, SwitchedMass) else TILE // 32  # of any device, with its series
     tiles = on_cores(of_tile, list(lists(np.arange(count), tile, TILE // 64)))
     return Summary(*map(np.concatenate, zip(*tiles, strict=True)))
 
@@ -422,7 +422,7 @@ def series_at(coefficients: Any, time: Array) -> Array:
 
 
 # Contacts of any linear device with a mass at its handle, and friction there: ``Handle`` is to
-# general devices what ``Plant`` is to one mass.
+# general devices what ``SwitchedMass`` is to one mass.
 #
 # While a force f of the wall is held, the states z obey z' = A z + w f + h (push - s f_c). The
 # handle's velocity v is one of them, s is its sign; its entry of h is 1/m, m the mass at the
@@ -453,7 +453,7 @@ class Handle(NamedTuple):
     load: the force on the handle beside friction, from such columns.
     at_rest, thrown: states at rest at position 1, and at velocity 1 (``Mechanics``).
     ticks: how many make a sample.
-    ages, flows, oldest: as of ``Plant``; flows are lengths in ticks.
+    ages, flows, oldest: as of ``SwitchedMass``; flows are lengths in ticks.
     """
 
     series: Array

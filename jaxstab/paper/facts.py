@@ -30,7 +30,7 @@ from jaxstab.conventions import Status
 from jaxstab.exact.line import LineStatus, stable_pencil
 from jaxstab.model import checked_delay, checked_delta, checked_gamma
 from jaxstab.model.balls import Factored, ball_triple, known_out
-from jaxstab.model.device.parts import remembered
+from jaxstab.model.device.parts import flint, remembered
 from jaxstab.model.loop import LoopParameters, unit_loop
 from jaxstab.numbers import checked, require_together, require_x64, without_noise
 from jaxstab.paper.passive import passive_region
@@ -139,15 +139,13 @@ def _first_rise(
 @remembered(8)
 def _line(loop: LoopParameters, level: float) -> tuple[Factored, Factored]:
     """p(z) at the corner, and what H adds to it."""
-    from flint import arb
-
-    triple, lag = ball_triple(loop), arb(loop.delay) + 0.5
+    triple, lag = ball_triple(loop), flint.arb(loop.delay) + 0.5
     gamma, delta, delay = loop.slice.values()
     roots = 2 if gamma == 0.0 or (delta == 0.0 and delay % 1.0 in (0.0, 0.5)) else 1
     corner = triple.at(-gamma, -(lag * gamma + delta))
     more = max(roots - corner.at_one, 0)
     corner = corner._replace(rest=known_out(corner.rest, 1, more), at_one=corner.at_one + more)
-    return corner, triple.stiffness.plus(triple.damping.scaled((1 + arb(level)) * lag))
+    return corner, triple.stiffness.plus(triple.damping.scaled((1 + flint.arb(level)) * lag))
 
 
 # ---------------------------------------------------------------------------------------- the facts

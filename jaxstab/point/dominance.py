@@ -72,7 +72,7 @@ class Effort(NamedTuple):
     steps: int = 0  # into which the delay is divided for the guess; 0: the samples
 
 
-class Loop(NamedTuple):
+class PlantPoints(NamedTuple):
     """Points of one degree; all fields broadcast. For a whole delay N(0) = 0 is divided out."""
 
     alpha: Array
@@ -114,7 +114,9 @@ class Loop(NamedTuple):
 
 
 @compiled(static=["degree", "effort", "shared"], many=0, wide=True)
-def dominant_root(loop: Loop, *, degree: int, effort: Effort, shared: int | None = None) -> Array:
+def dominant_root(
+    loop: PlantPoints, *, degree: int, effort: Effort, shared: int | None = None
+) -> Array:
     """Guess t = z - 1 of a root z that is probably dominant, by XLA, as a complex array.
 
     The imaginary part is >= 0, and 0 for real roots. Of an axis that is ``shared``, the root is
@@ -130,7 +132,7 @@ def dominant_root(loop: Loop, *, degree: int, effort: Effort, shared: int | None
     is_unrolled = effort.doublings * of_guess * (of_guess + 10) <= longest_unrolled
     guessed = partial(guessed_root, doublings=effort.doublings, is_unrolled=is_unrolled)
 
-    def root(loop: Loop) -> Array:
+    def root(loop: PlantPoints) -> Array:
         if effort.steps:
             t = _in_long_steps(loop, degree, effort.steps, guessed)
         else:
@@ -153,7 +155,10 @@ def _along(axis: int, entries: slice) -> tuple[Any, ...]:
 
 
 def _in_long_steps(
-    loop: Loop, degree: int, steps: int, guessed: Callable[[list[Column]], tuple[Array, Array]]
+    loop: PlantPoints,
+    degree: int,
+    steps: int,
+    guessed: Callable[[list[Column]], tuple[Array, Array]],
 ) -> Complex:
     """Guess t from about the same loop in ``steps`` long steps of delay.
 
@@ -177,14 +182,14 @@ def _in_long_steps(
     return (w * scale).over(w + (1.0 + pole))
 
 
-def newton(t: Complex, loop: Loop, degree: int) -> Complex:
+def newton(t: Complex, loop: PlantPoints, degree: int) -> Complex:
     """Return t after a step of Newton's method towards a root of p(1 + t)."""
     value, slope = evaluated(t, loop, degree)
     inverse = reciprocal(slope.squared_modulus())  # ``over`` would take XLA minutes to compile
     return t + value * Complex(slope.re, -slope.im) * -inverse
 
 
-def evaluated(t: Complex, loop: Loop, degree: int) -> tuple[Complex, Complex]:
+def evaluated(t: Complex, loop: PlantPoints, degree: int) -> tuple[Complex, Complex]:
     """Return p and its derivative at z = 1 + t."""
     gains = loop.alpha, loop.beta
     return _evaluated(t, t + 1.0, gains, loop.numerator, loop.denominator, degree)
@@ -217,7 +222,7 @@ _SLACK = 1.0 + 1e-6  # the bounds themselves are rounded
 
 @compiled(static=["degree", "corrections", "shared"], many=0, wide=True)
 def polished(
-    root: Array, loop: Loop, *, degree: int, corrections: int, shared: int | None = None
+    root: Array, loop: PlantPoints, *, degree: int, corrections: int, shared: int | None = None
 ) -> Array:
     """Correct roots t by Newton's method, by XLA; ``with_distance`` of them in a complex array.
 
@@ -225,7 +230,7 @@ def polished(
     """
     from jax import lax
 
-    def kernel(root: Array, loop: Loop) -> Array:
+    def kernel(root: Array, loop: PlantPoints) -> Array:
         before = t = Complex(root.real, root.imag)
         for _ in range(corrections):
             before, t = t, newton(t, loop, degree)
@@ -240,7 +245,7 @@ def polished(
 
 
 @compiled(static=["degree", "shared"], many=0, wide=True)
-def at_nodes(root: Array, loop: Loop, *, degree: int, shared: int) -> Array:
+def at_nodes(root: Array, loop: PlantPoints, *, degree: int, shared: int) -> Array:
     """Follow the root t of each block of neighbours to its nodes, by Newton's method.
 
     The nodes of a block take the place of its neighbours in the axis that is ``shared``.
@@ -286,7 +291,7 @@ def _in_blocks(leaf: Array, axis: int) -> Array:
 
 
 def with_distance(
-    t: Complex, loop: Loop, degree: int, before: Complex | None = None
+    t: Complex, loop: PlantPoints, degree: int, before: Complex | None = None
 ) -> tuple[Array, Array]:
     """Return |1 + t|, to 3 ulp, and a bound of what it may differ by from the spectral radius.
 
@@ -332,7 +337,7 @@ def _moduli(t: Complex) -> _Moduli:
 
 
 def _distance_to_root(
-    t: Complex, size: Array, radius: Array, loop: Loop, degree: int
+    t: Complex, size: Array, radius: Array, loop: PlantPoints, degree: int
 ) -> tuple[Array, Array]:
     """Return n |p/p'|, raised by what rounding may have changed; and that of p."""
     lost_in_squares = 1e-150  # moduli below are flushed to zero
@@ -354,7 +359,7 @@ def _distance_to_root(
     return xp.where(slope_size > 0.0, distance, xp.inf), rounding
 
 
-def _circle(t: Array, rounding: Array, loop: Loop, degree: int) -> tuple[Chain, Ends]:
+def _circle(t: Array, rounding: Array, loop: PlantPoints, degree: int) -> tuple[Chain, Ends]:
     """Return p(r z) / r^n with r = 1 + t, real: its coefficients, and its values at 1 and -1.
 
     ``rounding`` is that of p at a point about as far from 1 as r, and from 0, or farther.
@@ -439,7 +444,7 @@ def fast_radius(
     return value, error, still_open
 
 
-def _shared_loop(parameters: list[Array], delay: float) -> Loop | None:
+def _shared_loop(parameters: list[Array], delay: float) -> PlantPoints | None:
     plants = prod(np.broadcast_shapes(*(hand.shape for hand in parameters[2:])))
     return loop_of(parameters, delay) if plants <= _LIST else None
 
@@ -470,14 +475,14 @@ def _try_list(
     return joined(columns)
 
 
-def loop_of(given: Columns, delay: Array | float) -> Loop:
+def loop_of(given: Columns, delay: Array | float) -> PlantPoints:
     """Loops of one form of p(z), of the plants that are given in place of delta, or of theirs."""
     alpha, beta, gamma, delta = given
     if isinstance(delta, Plant):
-        return Loop(alpha, beta, gamma, delta)
+        return PlantPoints(alpha, beta, gamma, delta)
     fraction = np.asarray(delay) % 1.0
     plant = float_plant(gamma, delta, fraction, is_fractional=bool(np.any(fraction > 0.0)))
-    return Loop(alpha, beta, gamma, plant)
+    return PlantPoints(alpha, beta, gamma, plant)
 
 
 def _steady_axis(parameters: list[Array], shape: tuple[int, ...]) -> int | None:
@@ -499,11 +504,11 @@ def _is_steady(values: np.ndarray) -> bool:
     return bool(longest < 1.5 / _STEADY * np.ptp(values) and is_even)
 
 
-def _tried(loop: Loop, delay: float, effort: Effort, shared: int | None = None) -> Answer:
+def _tried(loop: PlantPoints, delay: float, effort: Effort, shared: int | None = None) -> Answer:
     """Return the answer of one try; where an axis may be ``shared``, with less work if it can."""
     degree = polynomial_degree(delay)
 
-    def radius(loop: Loop) -> Array:
+    def radius(loop: PlantPoints) -> Array:
         axis, own = None, effort
         shape = np.broadcast_shapes(*map(np.shape, leaves(loop)))
         if shared is not None and shape[shared] % NEIGHBOURS == 0:

@@ -96,7 +96,7 @@ class _Scan(NamedTuple):
     sense: Float64[Array, " angle"]
 
 
-class _Ends(NamedTuple):
+class _PieceEnds(NamedTuple):
     """The ends of pieces: row 0 at the smaller angle, row 1 at the larger one."""
 
     exists: Array  # (piece,)
@@ -282,7 +282,7 @@ def _scan(loop: Triples) -> _Scan:
 
 
 # ------------------------------------------------------------------------ pieces and loops
-def _ends_of(loop: Triples, scan: _Scan) -> tuple[_Ends, Array]:
+def _ends_of(loop: Triples, scan: _Scan) -> tuple[_PieceEnds, Array]:
     """Return the ends of the pieces, bracketed, and whether there is room for all."""
     halvings = 8  # of the brackets of ends
     passes, angles = scan.passes, loop.angles
@@ -308,7 +308,7 @@ def _ends_of(loop: Triples, scan: _Scan) -> tuple[_Ends, Array]:
     met = jnp.where(margins[1] <= 0.0, Branch.Z_MINUS_ONE, Branch.CURVE)
     met = jnp.where(margins[0] <= 0.0, Branch.Z_PLUS_ONE, met)
     at_limit = jnp.array([[Branch.Z_PLUS_ONE], [Branch.Z_MINUS_ONE]])
-    return _Ends(
+    return _PieceEnds(
         exists=exists,
         next_to=index,
         theta=0.5 * (inner + outer),
@@ -333,7 +333,7 @@ class _Corners(NamedTuple):
     next_to: Array
 
 
-def _corners_of(loop: Triples, ends: _Ends, sense: Array, size: Array) -> _Corners:
+def _corners_of(loop: Triples, ends: _PieceEnds, sense: Array, size: Array) -> _Corners:
     forward = sense > 0.0
 
     def turned(rows: Array) -> Array:
@@ -391,7 +391,7 @@ def _corners_of(loop: Triples, ends: _Ends, sense: Array, size: Array) -> _Corne
     )
 
 
-def _missed(loop: Triples, ends: _Ends) -> Array:
+def _missed(loop: Triples, ends: _PieceEnds) -> Array:
     """Return where a second root is on the circle at an end of a piece and no end is: two angles.
 
     The recursion of Schur and Cohn keeps a pair on the circle: its last z^2 - 2 cos(th) z + 1 is
@@ -836,7 +836,7 @@ def _highest_corner(component: _Component, axis: Array) -> _Corner:
     return _Corner(index, values[index], every[:, both], theta[both % (2 * SLOTS)], roots)
 
 
-class _Crossing(NamedTuple):
+class _AxisCrossing(NamedTuple):
     """The last crossing of a component's boundary with the axis of a gain; -inf if there is none.
 
     ``rest``: no other crossing, nor this one where it is not solved for, has a larger gain.
@@ -848,7 +848,7 @@ class _Crossing(NamedTuple):
     rest: Array
 
 
-def _on_axis(loop: Triples, scan: _Scan, component: _Component, axis: Array) -> _Crossing:
+def _on_axis(loop: Triples, scan: _Scan, component: _Component, axis: Array) -> _AxisCrossing:
     """Return where the boundary crosses the axis: by Newton's method, on lines in closed form."""
     corners, of_main = component.corners, component.of_main
     may_be = partial(_are_in_quadrant, size=component.size, axis=axis)
@@ -882,7 +882,7 @@ def _on_axis(loop: Triples, scan: _Scan, component: _Component, axis: Array) -> 
     is_on_line = on_line > on_curve
     gain = jnp.where(is_on_line, on_line, on_curve)
     wall = jnp.where(jnp.arange(2) == axis, gain, 0.0)
-    return _Crossing(wall, jnp.where(is_on_line, line_angle, theta), is_on_line, rest)
+    return _AxisCrossing(wall, jnp.where(is_on_line, line_angle, theta), is_on_line, rest)
 
 
 def _line_on_axis(loop: Triples, component: _Component, axis: Array) -> tuple[Array, Array]:

@@ -255,7 +255,7 @@ def _lowered(falling: Array) -> tuple[Array, Array]:
 
 
 # ---------------------------------------------------------------------------------- the arcs
-class _Ends(NamedTuple):
+class _ArcEnds(NamedTuple):
     """The ends of arcs, first all begins: angle, width of the bracket, wall.
 
     ``is_pinned``: at 0 or pi.
@@ -267,7 +267,7 @@ class _Ends(NamedTuple):
     walls: Float64[np.ndarray, "end 2"]
 
 
-def _arc_ends(c: Curve, angles: Angles, inside: Passes) -> _Ends:
+def _arc_ends(c: Curve, angles: Angles, inside: Passes) -> _ArcEnds:
     rounds, parts = (26, 2) if inside.with_balls else (6, 32)  # of the brackets of ends
     nothing = 0.0 if inside.with_balls else 3e-11  # radians: shorter arcs and gaps are rounding
     passes = inside(angles)
@@ -308,7 +308,7 @@ def _arc_ends(c: Curve, angles: Angles, inside: Passes) -> _Ends:
     is_long = end[lasts] - begin[firsts] > nothing
     chosen = np.concatenate([firsts[is_long], len(begin) + lasts[is_long]])
     theta = theta[chosen]
-    return _Ends(theta, abs(inner - outer)[chosen], is_pinned[chosen], curve_gains(c, theta).T)
+    return _ArcEnds(theta, abs(inner - outer)[chosen], is_pinned[chosen], curve_gains(c, theta).T)
 
 
 def _at_line_ends(c: Curve, inner: Angles, outer: Angles) -> tuple[Angles, Angles]:
@@ -496,7 +496,7 @@ def _angles_at(
 
 
 def _matches(
-    c: Curve, ends: _Ends, stops: list[_Stop], angles: Angles, size: Float64[np.ndarray, "2"]
+    c: Curve, ends: _ArcEnds, stops: list[_Stop], angles: Angles, size: Float64[np.ndarray, "2"]
 ) -> tuple[dict[int, int], dict[int, int]]:
     """Return the stop of ends of arcs, and what is joined to each stop: an end, or another stop.
 
@@ -538,7 +538,7 @@ def _matches(
 
 def _corners(
     c: Curve,
-    ends: _Ends,
+    ends: _ArcEnds,
     lone: np.ndarray,
     theta: Angles,
     walls: Float64[np.ndarray, "end 2"],

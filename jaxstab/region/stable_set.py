@@ -9,6 +9,16 @@ from jaxtyping import Bool, Float64, Int
 
 from jaxstab.arrays import Array, Numbers, float_arrays, namespace
 from jaxstab.conventions import Status
+from jaxstab.drawing import (
+    ALPHA_LABEL,
+    BETA_LABEL,
+    Floats,
+    draw_components,
+    html_of,
+    new_axes,
+    raise_powers,
+    with_gaps,
+)
 from jaxstab.model import checked_gain, require_x64
 from jaxstab.model.gain import ALPHA_BETA, Gain, limit_text
 from jaxstab.numbers import require_together, without_noise
@@ -35,6 +45,13 @@ class ShownRegion:
     if TYPE_CHECKING:
         names: Any  # tuple[Gain, Gain] of its coordinates
         _printed: Any  # the points of the largest of each, stable as they are printed
+
+        @property
+        def _drawn(self) -> Floats:
+            """The outline with NaN between two loops."""
+
+        def _write_axes(self, panel: "Axes") -> None:
+            """Write what the axes are."""
 
     @property
     def reachable(self: Shown) -> Shown:
@@ -64,8 +81,6 @@ class ShownRegion:
         )
 
     def _repr_html_(self) -> str:
-        from jaxstab.app.pictures.style import html_of
-
         return html_of(self, self.plot)
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
@@ -77,10 +92,17 @@ class ShownRegion:
         Example:
             >>> axes = jaxstab.stable_region(gamma=0.0, delta=0.015, delay=1.0).plot()
         """
-        from jaxstab.app.pictures.style import plot_region
-
         region: Any = self
-        return plot_region(region, ax)
+        if not region.components:
+            raise ValueError(
+                f"there is nothing to draw: {self!r}; the region must be COMPLETE and not empty."
+            )
+        panel = new_axes() if ax is None else ax
+        main = None if region.main is None else region.main._drawn
+        draw_components(panel, main, [island._drawn for island in region.islands])
+        self._write_axes(panel)
+        raise_powers([panel])
+        return panel
 
 
 def printed_extremes(region: "StableRegion", digits: int = DIGITS) -> tuple[Any, Any]:
@@ -283,6 +305,14 @@ class StableRegion(ShownRegion):
     def branch(self) -> Int[np.ndarray, " piece"]:
         """The Branch of each piece between two points: the root that is on the circle there."""
         return self.outline.branches[: max(self.outline.size - 1, 0)]
+
+    @property
+    def _drawn(self) -> Floats:
+        """The outline with NaN between two loops."""
+        return with_gaps(self.points, self.branch)
+
+    def _write_axes(self, panel: "Axes") -> None:
+        panel.set(xlabel=ALPHA_LABEL, ylabel=BETA_LABEL)
 
     @property
     def corners(self) -> Float64[np.ndarray, "corner 2"]:

@@ -11,7 +11,7 @@ from jaxstab.boxes.enclosures import ParameterBoxes
 from jaxstab.boxes.polygons import RobustRegion
 from jaxstab.boxes.search import PULLS, Guess, Paving, RobustStatus, paved, search
 from jaxstab.conventions import Verdict
-from jaxstab.loop.hands import LoopsWithHands, WorstHand
+from jaxstab.loop.hands import HandFamily, WorstHand
 
 RADIUS = 0.75
 
@@ -149,9 +149,9 @@ def test_the_worst_loop_is_refuted_only_by_one_that_is_proved_unstable(
             return failed
 
         monkeypatch.setattr("jaxstab.loop.hands._worst_of", worst_of)
-        monkeypatch.setattr(LoopsWithHands, "unproved", unproved)
-        monkeypatch.setattr(LoopsWithHands, "_held", lambda _, member: member.tolist()[0])
-        worst = LoopsWithHands(loop, HandRange(mass=(0.0, 1.0))).worst(1.0, 1.0)
+        monkeypatch.setattr(HandFamily, "unproved", unproved)
+        monkeypatch.setattr(HandFamily, "_held", lambda _, member: member.tolist()[0])
+        worst = HandFamily(loop, HandRange(mass=(0.0, 1.0))).worst(1.0, 1.0)
         return worst.verdict, worst.radius
 
     many = np.tile(np.arange(130.0)[:, None], 5)

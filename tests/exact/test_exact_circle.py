@@ -13,11 +13,11 @@ from jaxstab.exact.circle import (
     _as_many_as_counted,
     _by_cells,
     _by_powers,
+    _CellModel,
     _Cells,
     _end,
     _guesses,
     _known_place,
-    _Part,
     _place,
     _sign_on_cell,
     _sturm_count,
@@ -199,7 +199,7 @@ def test_a_derivative_is_called_without_zeros_only_if_it_is() -> None:
     said = np.zeros(6, int)
     for _ in range(2000):
         rising = rng.normal(size=int(rng.integers(6, 9))) * 10.0 ** rng.uniform(-1.0, 2.0, 1)
-        part = _Part(flint.arb_poly(rising.tolist()), flint.arb(0), 0)
+        part = _CellModel(flint.arb_poly(rising.tolist()), flint.arb(0), 0)
         centre = float(rng.uniform(-0.9, 0.9))
         f = np.polynomial.Polynomial(rising)
         roots = [f.deriv(order).roots() for order in range(5)]
@@ -218,7 +218,7 @@ def test_what_a_polynomial_misses_may_hide_a_zero_of_a_derivative(half: float) -
     for order in range(3):
         p = flint.arb_poly([0] * order + [0.1])
         said = [
-            _Part(p, flint.arb(0, share / 10**order), 10).on(flint.arb(0), flint.arb(half))
+            _CellModel(p, flint.arb(0, share / 10**order), 10).on(flint.arb(0), flint.arb(half))
             for share in (0.099, 0.101)
         ]
         assert said[0] == order != said[1]
@@ -301,12 +301,12 @@ def test_a_cell_has_a_sign_where_the_sum_is_little_more_than_it_may_change(order
         assert _sign_on_cell(cells, 5) == sign
 
 
-def unknown_at(places: list[flint.arb]) -> _Part:
+def unknown_at(places: list[flint.arb]) -> _CellModel:
     """A sum of which no sign is known at places."""
     product = flint.arb_poly([1])
     for place in places:
         product *= flint.arb_poly([-place, 1])
-    return _Part(product, flint.arb(0, 1e-30), 32)
+    return _CellModel(product, flint.arb(0, 1e-30), 32)
 
 
 @pytest.mark.parametrize("count", [0, 1, 8, 9])

@@ -12,8 +12,8 @@ from jaxstab.exact.line import stable_line
 from jaxstab.exact.margins import (
     DelayMargin,
     DelayStatus,
+    _DelayedWall,
     _least_whole,
-    _Search,
     _window,
     delay_margin,
 )
@@ -116,7 +116,7 @@ def test_forms_over_an_interval_hold_the_values_in_it(samples: int) -> None:
     loop = HapticLoop(device_mass=0.1, device_damping=0.3, sample_time=1e-3, velocity=velocity)
     with flint.ctx.workprec(192):
         own, wall = ball_loop(loop), (100.0, 3.0)
-        search = _Search(own, one_sample(loop.held_device, loop.sample_time), 0.0, wall)
+        search = _DelayedWall(own, one_sample(loop.held_device, loop.sample_time), 0.0, wall)
         parts = own.wall(*wall), own.denominator.times(own.position[1]).times(own.velocity[1])
         for theta in [(0.0, 0.3), (0.4, 0.41), (1.0, 1.6), (2.9, 3.1)]:
             middle = flint.arb(theta[0]) + (flint.arb(theta[1]) - theta[0]) / 2
@@ -152,7 +152,7 @@ def test_the_response_to_late_forces_over_an_interval_has_its_values_and_slopes(
 
     with flint.ctx.workprec(192):
         sample = one_sample(loop.held_device, period)
-        search = _Search(ball_loop(loop), sample, 0.0, (100.0, 3.0))
+        search = _DelayedWall(ball_loop(loop), sample, 0.0, (100.0, 3.0))
         (middle, everywhere), slopes = search._over_fraction(fraction)
         for f in np.linspace(*fraction, 9).tolist():
             for w in (-2.0, -0.3, 0.7):
@@ -181,7 +181,7 @@ def test_boxes_that_hold_a_root_on_the_circle_are_kept(
     with flint.ctx.workprec(192):
         sample = one_sample(loop.held_device, loop.sample_time)
         for value, _, angle, *_ in crossings:
-            search = _Search(ball_loop(loop), sample, 1.1, (value, 3.0))
+            search = _DelayedWall(ball_loop(loop), sample, 1.1, (value, 3.0))
             for size in 10.0 ** rng.uniform(-6.0, -0.5, 40):
                 low, high = rng.uniform(0.01, 1.0, (2, 2)) * size
                 theta = max(angle - low[0], 0.0), min(angle + high[0], np.pi)

@@ -10,7 +10,13 @@ import pytest
 from mpmath import mp, mpf
 
 from jaxstab import Device, HapticLoop, Velocity
-from jaxstab.exact.response import Modes, Responses, _Wall, disturbed_responses, settled_after
+from jaxstab.exact.response import (
+    ModalTerms,
+    WallResponses,
+    _WallPolynomials,
+    disturbed_responses,
+    settled_after,
+)
 from jaxstab.model.device.parts import working_precision
 from jaxstab.model.loop import unit_loop
 from tests.truth import impulse
@@ -42,7 +48,7 @@ def test_sums_are_those_of_50_digits(case: str, by_powers: bool) -> None:
     loop = unit_loop(*numbers[2:], velocity, None)
     if by_powers:
         with working_precision(384):
-            wall = _Wall.from_loop(loop, *numbers[:2])
+            wall = _WallPolynomials.from_loop(loop, *numbers[:2])
             found = wall.by_powers(wall.disturbed((True, True, False)), 1)
     else:
         found = disturbed_responses(loop, *numbers[:2], (True, True, False))
@@ -142,7 +148,7 @@ def test_an_impact_does_not_move_the_actuator() -> None:
     w = np.sqrt(stiffness / mass - rate**2 / 4.0)
     truth = np.exp(-rate * times / 2.0) * np.sin(w * times) / w
     with working_precision(384):
-        wall = _Wall.from_loop(loop, 0.0, 0.0)
+        wall = _WallPolynomials.from_loop(loop, 0.0, 0.0)
         found = wall.by_powers(wall.begun(is_impact=True), 100)
         assert found is not None
     moved = found.head[0, 0, :100]
@@ -203,12 +209,12 @@ def test_what_is_not_stable_or_no_number_has_no_sums() -> None:
     assert settled_after(loop, 1000.0, 20.0, "force", 0.02, 69) == 69.0
 
 
-def modes_of(poles: list[Fraction], error: float = 0.0) -> Modes:
+def modes_of(poles: list[Fraction], error: float = 0.0) -> ModalTerms:
     """Real poles, each with the residue 1, which may be wrong by an error."""
     values, ones = np.array(poles, float), np.ones((1, 1, len(poles)))
     balls = [(flint.acb(value), flint.acb(1)) for value in values.tolist()]
     sizes, errors, gaps = ones * (1.0 + error), ones * error, 1.0 - abs(values)
-    return Modes(values + 0j, ones + 0j, sizes, errors, abs(values), gaps, balls)
+    return ModalTerms(values + 0j, ones + 0j, sizes, errors, abs(values), gaps, balls)
 
 
 @pytest.mark.parametrize("share", [Fraction(-1, 2**41), Fraction(0), Fraction(1, 2**39)])
@@ -252,7 +258,7 @@ def test_sums_of_many_small_terms_are_no_less_than_those_of_fractions() -> None:
     """Beside 1 each of them is lost by float64, and 15 of 127 where eight sums run side by side."""
     head = np.full(128, 2.0**-53)
     head[0] = 1.0
-    found = Responses(head[None, None], flint.arb_poly([])).sums(np.eye(1), np.eye(1))
+    found = WallResponses(head[None, None], flint.arb_poly([])).sums(np.eye(1), np.eye(1))
     exact = 1 + 127 * Fraction(1, 2**53)
     assert 0 <= Fraction(float(found[0, 0])) - exact < Fraction(1, 2**43)
 
@@ -265,7 +271,7 @@ def test_without_poles_all_of_the_last_terms_must_be_small(
 ) -> None:
     """1, 0, 1/2, 0, 1/4, 0, 1/8: later terms are no larger than the last two in the head."""
     head = [2.0 ** -(k // 2) if k % 2 == 0 else 0.0 for k in range(7)]
-    found = Responses(np.array(head)[None, None], flint.arb_poly(head), late=5)
+    found = WallResponses(np.array(head)[None, None], flint.arb_poly(head), late=5)
     assert found.settled(level, 10, is_impact=False) == expected
 
 
@@ -299,7 +305,7 @@ def test_sums_allow_for_what_rows_and_columns_may_be_wrong_by(growth: float) -> 
     for values, side in ((head, 0), (head.reshape(2, 1, 1), 1)):
         sides = [np.eye(1), np.eye(1)]
         sides[side] = np.array([[1.0, 0.0]])
-        found = Responses(values, flint.arb_poly([]), growth=growth).sums(*sides)
+        found = WallResponses(values, flint.arb_poly([]), growth=growth).sums(*sides)
         assert 2.0 <= found[0, 0] / (1.0 + growth) < 3.0
 
 
@@ -307,7 +313,7 @@ def test_sums_allow_for_what_rows_and_columns_may_be_wrong_by(growth: float) -> 
 def test_sums_allow_for_what_residues_may_be_wrong_by(error: float) -> None:
     """A half to the power of t, times 1 or as much more as is allowed: their sum is 2."""
     modes = modes_of([Fraction(1, 2)], error)
-    found = Responses(np.zeros((1, 1, 1)), flint.arb_poly([]), modes).sums(np.eye(1), np.eye(1))
+    found = WallResponses(np.zeros((1, 1, 1)), flint.arb_poly([]), modes).sums(np.eye(1), np.eye(1))
     assert 0.0 <= found[0, 0] / (2.0 * (1.0 + error)) - 1.0 < 1e-11
 
 
@@ -322,7 +328,7 @@ def test_what_is_not_known_up_to_twice_the_horizon_is_not_settled(
     modes = modes._replace(
         residues=np.array([[[1.0, -1.0]]], complex), balls=[(first, one), (second, -one)]
     )
-    found = Responses(np.zeros((1, 1, 1)), flint.arb_poly([]), modes)
+    found = WallResponses(np.zeros((1, 1, 1)), flint.arb_poly([]), modes)
     assert found.settled(1e-3, horizon, is_impact=False) == pytest.approx(expected, nan_ok=True)
     assert found.settled(2.5, horizon, is_impact=False) == 0.0  # the bound is 2 at first
 
@@ -332,7 +338,7 @@ def test_the_largest_term_is_looked_for_among_all_that_may_be_it() -> None:
     values, wrong = np.array([1.0, 1.0 - 2.0**-53, 0.5]), np.full(3, 2.0**-52)
     with working_precision(192):
         more = 1 + flint.arb(2) ** -60
-        found = Responses(values[None, None], flint.arb_poly([1, more, 0.5]))
+        found = WallResponses(values[None, None], flint.arb_poly([1, more, 0.5]))
         assert found._largest_ball(values, wrong) == more
 
 
@@ -342,7 +348,7 @@ def test_after_a_blow_half_of_the_largest_term_is_no_less_than_half_by_rounding(
         more = flint.arb(0.5) + flint.arb(2) ** -60
         for second, expected in ((flint.arb(0.5), 1.0), (more, 2.0)):
             head = np.array([[[1.0, 0.5, 0.0]]])
-            found = Responses(head, flint.arb_poly([1, second, 0]), late=2)
+            found = WallResponses(head, flint.arb_poly([1, second, 0]), late=2)
             assert found.settled(0.5, 10, is_impact=True) == expected
 
 
@@ -352,7 +358,7 @@ def test_after_a_blow_terms_are_looked_at_down_to_a_share_of_the_largest() -> No
     ((pole, one),) = modes.balls
     halves = 0.5 * modes.residues, 0.5 * modes.sizes
     modes = modes._replace(residues=halves[0], sizes=halves[1], balls=[(pole, one / 2)])
-    found = Responses(np.array([[[0.5]]]), flint.arb_poly([0.5]), modes)
+    found = WallResponses(np.array([[[0.5]]]), flint.arb_poly([0.5]), modes)
     assert found.settled(0.1, 100, is_impact=True) == 5.0
 
 
@@ -365,14 +371,14 @@ def test_a_ball_that_is_wider_than_a_small_level_is_not_below_it() -> None:
         modes = modes._replace(
             residues=1e-26 * modes.residues, sizes=1e-26 * modes.sizes, balls=[(pole, one * 1e-26)]
         )
-        found = Responses(head, balls, modes)
+        found = WallResponses(head, balls, modes)
         assert found.settled(1e-25, 10, is_impact=True) == 2.0
 
 
 def test_after_a_blow_the_level_is_a_share_of_the_largest_deviation() -> None:
     """A tenth of 0.5; 0.15 is above it, and below a tenth over 0.5."""
     head = [0.5, 0.15, 0.01, 0.0]
-    found = Responses(np.array(head)[None, None], flint.arb_poly(head), late=2)
+    found = WallResponses(np.array(head)[None, None], flint.arb_poly(head), late=2)
     assert found.settled(0.1, 10, is_impact=True) == 2.0
     assert found.settled(0.1, 10, is_impact=False) == 2.0
     assert found.settled(0.2, 10, is_impact=False) == 1.0

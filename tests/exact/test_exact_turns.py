@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import expm
 
 from jaxstab import HapticLoop, Velocity
-from jaxstab.exact.turns import PeriodicLoop, is_growing
+from jaxstab.exact.turns import TransitionMatrices, is_growing
 
 T, MASS, DAMPING, STIFFNESS = 1e-3, 0.25, 0.1, 40.0
 LOOP = HapticLoop(device_mass=MASS, device_damping=DAMPING, hand_stiffness=STIFFNESS, sample_time=T)
@@ -43,7 +43,7 @@ def multipliers(wall: tuple[float, float], delays: list[float]) -> np.ndarray:
 def test_a_turn_moves_a_mass_as_its_forces_arrive(
     wall: tuple[float, float], delays: list[float]
 ) -> None:
-    loop = PeriodicLoop.from_loop(LOOP, *wall)
+    loop = TransitionMatrices.from_loop(LOOP, *wall)
     turn = np.eye(len(loop.rounded().steps(delays)[0]))
     for step in loop.rounded().steps(delays):
         turn = step @ turn
@@ -67,14 +67,14 @@ def test_without_a_delay_a_turn_of_a_window_has_the_roots_of_the_loop(samples: i
     wall[[0, -1]] = 300.0 + 2.0 / (samples * T), -2.0 / (samples * T)
     below = [1.0, -np.trace(held[:2, :2]), np.linalg.det(held[:2, :2])]
     known = np.polyadd(np.polymul(below, [1.0, *[0.0] * samples]), np.polymul(above, wall))
-    (step,) = PeriodicLoop.from_loop(loop, 300.0, 2.0).rounded().steps([0.0])
+    (step,) = TransitionMatrices.from_loop(loop, 300.0, 2.0).rounded().steps([0.0])
     found = np.linalg.eigvals(step)
     for root in np.roots(known):
         assert np.abs(found - root).min() < 1e-8
 
 
 def test_turns_in_balls_are_those_in_floats() -> None:
-    loop = PeriodicLoop.from_loop(LOOP, 300.0, 1.0)
+    loop = TransitionMatrices.from_loop(LOOP, 300.0, 1.0)
     for delays in TURNS:
         for ball, number in zip(loop.steps(delays), loop.rounded().steps(delays), strict=True):
             assert np.all(np.abs(ball.astype(float) - number) <= 1e-12 * np.abs(number).max())

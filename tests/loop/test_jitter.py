@@ -16,8 +16,8 @@ from jaxtyping import Float64
 from benchmarks import jitter as campaign
 from jaxstab import Device, Filter, Hand, HandRange, HapticLoop, Mode, Velocity, Verdict
 from jaxstab.exact.turns import segments_of
-from jaxstab.loop.hands import LoopsWithHands
-from jaxstab.loop.jitter import Delays, MovingLoop
+from jaxstab.loop.hands import HandFamily
+from jaxstab.loop.jitter import Delays, Jitter
 from jaxstab.model.device.parts import working_precision
 from jaxstab.model.device.sampling import late_cosines, one_sample
 from tests.truth.late_energy import late_energy
@@ -150,7 +150,7 @@ def test_walls_are_proved_as_far_as_the_inequality_of_the_held_device_holds(name
             worst, at = np.max(values), float(theta[np.argmax(values)])
             theta, step = at * (1.0 + step * np.linspace(-1.0, 1.0, 21)), 0.1 * step
         if loop.verdict(*wall) == Verdict.STABLE and abs(worst - 1.0) > 0.03:
-            moving = MovingLoop.from_loop(loop, (delay * T, (delay + most) * T))
+            moving = Jitter.from_loop(loop, (delay * T, (delay + most) * T))
             assert moving.is_proved(*wall) == (worst < 1.0), (share, worst)
             found.add(worst < 1.0)
     assert True in found
@@ -218,14 +218,14 @@ def test_limits_of_general_devices_survive_attacks_and_what_is_unstable_grows(na
 
 def test_the_stiffest_walls_of_some_dampings_are_proved_and_hardly_stiffer_ones_are_not() -> None:
     for loop, delays in ((window(5, 0.8 * T), (0.8, 1.2)), (HapticLoop(**LIGHT), (0.0, 1.0))):
-        moving = MovingLoop.from_loop(loop, (delays[0] * T, delays[1] * T))
+        moving = Jitter.from_loop(loop, (delays[0] * T, delays[1] * T))
         proved, unstable = moving.stiffest_walls()
         assert len(proved) > 12
         assert all(moving.is_proved(*wall) for wall in proved)
         assert np.mean([moving.is_proved(1.04 * k, b) for k, b in proved]) < 0.1
         assert np.all(moving.verdict(*unstable.T) == Verdict.UNSTABLE)
     none = HapticLoop(device=TOPPLING, sample_time=T, delay=20 * T)
-    nothing = MovingLoop.from_loop(none, (20 * T, 21 * T)).stiffest_walls()
+    nothing = Jitter.from_loop(none, (20 * T, 21 * T)).stiffest_walls()
     assert [len(walls) for walls in nothing] == [0, 0]
 
 
@@ -337,7 +337,7 @@ def test_boxes_of_hands_keep_the_distance_of_moving_delays_themselves() -> None:
     moving, hands = {"delays": (0.0, 0.5 * T), "lost": 3}, HandRange(damping=(0.1, 1.0))
     lowest = HapticLoop(device_mass=0.1, device_damping=0.15, sample_time=T)
     limits = lowest.limits(**moving)
-    loops = LoopsWithHands(HapticLoop(sample_time=T, device=device), hands, **moving)
+    loops = HandFamily(HapticLoop(sample_time=T, device=device), hands, **moving)
     wall = 1.05 * limits.stiffness, limits.damping
     assert lowest.verdict(*wall) == Verdict.STABLE
     assert lowest.verdict(*wall, **moving) == Verdict.UNDECIDED
@@ -486,7 +486,7 @@ def test_ranges_that_are_none_are_refused(
     delays: object, lost: object, error: type[Exception], words: str
 ) -> None:
     with pytest.raises(error, match=words):
-        MovingLoop.from_loop(window(5), delays, lost)
+        Jitter.from_loop(window(5), delays, lost)
 
 
 def test_traced_gains_are_refused() -> None:

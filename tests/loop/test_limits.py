@@ -148,7 +148,7 @@ def test_a_row_is_reached_only_if_all_walls_next_to_no_stiffness_are_stable(
 def test_a_line_that_balls_leave_open_tells_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     loop = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
     nothing = StableLine((), (), 0, 0.0, LineStatus.UNDECIDED, 192)
-    monkeypatch.setattr(HapticLoop, "intervals", lambda *_, **__: nothing)
+    monkeypatch.setattr(HapticLoop, "_line", lambda *_, **__: nothing)
     assert reached_interval(loop, "damping", 20.0) is None
 
 

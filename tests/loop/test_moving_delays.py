@@ -8,7 +8,7 @@ import pytest
 
 import jaxstab
 from jaxstab import HandRange, HapticLoop, Verdict
-from jaxstab.loop.hands import LoopsWithHands
+from jaxstab.loop.hands import HandFamily
 
 ROOT = Path(__file__).parents[2]
 WALL = (6669.1, 71.60)  # N/m, N s/m
@@ -41,7 +41,7 @@ def _largest(delays: list[int], seconds: float) -> float:
 
 def test_a_wall_stable_at_every_constant_delay_grows_with_a_delay_that_moves() -> None:
     loop = HapticLoop(device_mass=MASS, device_damping=DAMPING, sample_time=T)
-    constant = LoopsWithHands(loop, HandRange(), delay=(0.0, T))
+    constant = HandFamily(loop, HandRange(), delay=(0.0, T))
     assert constant.worst(*WALL).verdict == Verdict.STABLE
     assert _largest([0], 2.0) < 2e-3
     assert _largest([1], 2.0) < 1e-2

@@ -168,7 +168,7 @@ def test_a_loop_on_another_circle_is_within_its_errors(fraction: float, plant_er
     plant = plant._replace(error=np.full(count, plant_error))
     alpha, beta = drawn(rng, 2, count)
     t = rng.uniform(-0.9, 0.5, count)
-    loop = dominance.Loop(alpha, beta, gamma, plant)
+    loop = dominance.PlantPoints(alpha, beta, gamma, plant)
     chain, ends = dominance._circle(t, np.zeros(count), loop, degree)
     worst = np.zeros(2)
     for k in range(count):
@@ -204,7 +204,7 @@ def test_a_plant_on_another_circle_is_rounded_by_12_and_20_units() -> None:
     rng = np.random.default_rng(10)
     plant = float_plant(*rng.uniform(0.1, 4.0, (2, 40)), np.zeros(40), is_fractional=False)
     plant, t = plant._replace(error=np.zeros(40)), rng.uniform(-0.9, 0.5, 40)
-    loop = dominance.Loop(np.zeros(40), np.zeros(40), np.ones(40), plant)
+    loop = dominance.PlantPoints(np.zeros(40), np.zeros(40), np.ones(40), plant)
     chain, _ = dominance._circle(t, np.zeros(40), loop, 5)
     of_gap = 12.0 * UNIT * (abs(plant.gap) + abs((1.0 + t) ** 2 - 1.0)) / (1.0 + t) ** 2
     np.testing.assert_allclose(chain.error, of_gap, rtol=1e-9, atol=0.0)

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from jaxstab.app.cli.main import main
 from jaxstab.app.pictures.plane import paper_figure, region_figure
-from jaxstab.app.pictures.style import picture
+from jaxstab.drawing import picture
 from jaxstab.paper import linear_validity
 
 

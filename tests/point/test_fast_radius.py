@@ -20,7 +20,7 @@ from jaxstab.point import dominance as dominance
 from jaxstab.point import dominance as fast_radius
 from jaxstab.point import radius as door
 from jaxstab.point import traced_radius as power_iteration
-from jaxstab.point.dominance import Loop
+from jaxstab.point.dominance import PlantPoints
 from jaxstab.point.poles import Complex
 from jaxstab.point.verdicts import float_plant
 from tests.truth import loop as truth
@@ -292,7 +292,7 @@ def test_a_thousand_points_that_are_left_open_are_tried_at_once(
 ) -> None:
     tried: list[int] = []
 
-    def try_them(loop: Loop, *_: object) -> tuple[np.ndarray, np.ndarray]:
+    def try_them(loop: PlantPoints, *_: object) -> tuple[np.ndarray, np.ndarray]:
         tried.append(loop.alpha.size)
         return loop.alpha, loop.beta
 
@@ -348,7 +348,7 @@ class TestPowerIteration:
 class TestDominantRoot:
     def test_a_root_that_is_not_dominant_is_not_proved(self) -> None:
         plant = float_plant(*map(np.asarray, (0.2, 0.1, 0.0)), is_fractional=False)
-        loop = Loop(*map(np.asarray, (0.1, 0.3, 0.2)), plant)
+        loop = PlantPoints(*map(np.asarray, (0.1, 0.3, 0.2)), plant)
         roots = truth.roots(0.1, 0.3, 0.2, 0.1, 0)
         tried = np.array([complex(root) - 1.0 for root in roots if root.imag >= 0])
         _, distances = dominance.with_distance(Complex(tried.real, tried.imag), loop, degree=3)

@@ -29,10 +29,10 @@ from jaxstab.region.batch import (
     _bisector,
     _Corners,
     _corners_of,
-    _Ends,
     _ends_of,
     _fall,
     _linked,
+    _PieceEnds,
     _rounding,
     _scan,
     _small_walls,
@@ -691,7 +691,7 @@ def test_a_piece_is_solved_only_if_both_of_its_ends_are() -> None:
     is_first = jnp.arange(SLOTS) == 0
     corners = jit(lambda ends: _corners_of(loop, ends, jnp.ones(SLOTS), jnp.ones(2)))
     for theta, is_solved in ((1.5714, True), (1.45, False)):
-        ends = _Ends(
+        ends = _PieceEnds(
             exists=is_first,
             next_to=jnp.zeros((2, SLOTS), int),
             theta=jnp.stack([jnp.full(SLOTS, 1e-6), jnp.full(SLOTS, theta)]),

@@ -165,7 +165,7 @@ def _no_formula(value: Any) -> Any:
 
 def draw(figure: Any, path: Path) -> None:
     """Write a figure of matplotlib beside an answer, in the format that its name ends in."""
-    from jaxstab.app.pictures.style import picture
+    from jaxstab.drawing import picture
 
     write_beside(picture(figure, path.suffix[1:]), path)
 

@@ -11,6 +11,9 @@ from typing import Any
 import click
 
 import jaxstab
+from jaxstab import atlas as atlases
+from jaxstab.app import pictures
+from jaxstab.app import scene as scenes
 from jaxstab.app.cli.options import (
     PICTURES,
     at_work,
@@ -39,13 +42,12 @@ def build(spec: Path | None, output: Path, **where: Any) -> None:
 
     The file appears when it is whole. Ctrl-C ends the build at once and leaves nothing.
     """
-    from jaxstab.atlas.build import workers_of, write_atlas
-    from jaxstab.atlas.spec import HAPTIC
-
     keep_programs()
-    chosen = jaxstab.AtlasSpec.from_file(spec) if spec else HAPTIC
+    chosen = jaxstab.AtlasSpec.from_file(spec) if spec else atlases.spec.HAPTIC
     with at_work(f"building {output}") as show, workers_in(where) as (pool, client):
-        write_atlas(chosen, output, show, workers_of(client) if client else pool)
+        atlases.build.write_atlas(
+            chosen, output, show, atlases.build.workers_of(client) if client else pool
+        )
     click.echo(_described(jaxstab.open_atlas(output), output))
 
 
@@ -57,11 +59,9 @@ def spec(file: Path, **tolerances: float | None) -> None:
     Write it into a file for `jaxstab atlas build --spec`; the atlas has limits for the ranges of
     the scene, with its estimator: `jaxstab atlas query FILE --scene SCENE`.
     """
-    from jaxstab.app.scene.exports import spec_text
-
     scene = scene_of({"files": [file], **tolerances})
     warn(*scene.unusual())
-    click.echo(spec_text(scene, str(file)), nl=False)
+    click.echo(scenes.exports.spec_text(scene, str(file)), nl=False)
 
 
 @click.command()
@@ -82,11 +82,9 @@ def info(file: Path) -> None:
 )
 def verify(file: Path, sample: int) -> None:
     """Check that an atlas can be read, and is right at a random sample of points."""
-    from jaxstab.atlas.build import verify_atlas
-
     keep_programs()
     passed = True
-    for check in verify_atlas(file, sample):
+    for check in atlases.build.verify_atlas(file, sample):
         click.echo(check)
         passed = passed and check.passed
     sys.exit(0 if passed else 1)
@@ -151,10 +149,8 @@ def query(
     if scene_file is not None:
         words = "is given beside --scene, which has it; give one of them."
         refuse(given | {"csv": table}, words)
-        from jaxstab.app.scene.exports import ask_atlas
-
         opened, scene = jaxstab.open_atlas(file), scene_of({"files": [scene_file], "wall": wall})
-        stated, rows = ask_atlas(scene, opened)
+        stated, rows = scenes.exports.ask_atlas(scene, opened)
     else:
         points = _points(table, given)
         opened = jaxstab.open_atlas(file)
@@ -182,10 +178,8 @@ def plot(
     file: Path, output: Path, gamma: float | None, delta: float | None, delay: tuple[float, ...]
 ) -> None:
     """Draw verdicts and fields in the (alpha, beta) plane."""
-    from jaxstab.app.pictures.plane import draw_atlas
-
     require_no_output(file)
-    png = draw_atlas(jaxstab.open_atlas(file), gamma, delta, delay)
+    png = pictures.plane.draw_atlas(jaxstab.open_atlas(file), gamma, delta, delay)
     publish(png, output)
     click.echo(output)
 
@@ -238,8 +232,7 @@ _FIGURES = range(4, 11)
 @click.option("--format", "form", type=click.Choice(["png", "svg"]), default="png")
 def figure(number: str, output: Path, form: str) -> None:
     """Draw a figure of Hulin, Preusche, Hirzinger (2008): NUMBER is 4 ... 10, or all."""
-    from jaxstab.app.pictures.plane import paper_figure
-    from jaxstab.app.pictures.style import picture
+    from jaxstab.drawing import picture
 
     if output.suffix in (".png", ".svg") or str(output) == "-":
         raise click.UsageError(f"{output} is not the name of a folder; give one to -o.")
@@ -247,7 +240,7 @@ def figure(number: str, output: Path, form: str) -> None:
         output.mkdir(parents=True, exist_ok=True)
     for which in _FIGURES if number == "all" else [int(number)]:
         file = output / f"figure_{which}.{form}"
-        publish(picture(paper_figure(which), form), file)
+        publish(picture(pictures.plane.paper_figure(which), form), file)
         click.echo(file)
 
 
@@ -269,9 +262,7 @@ def region(
     with at_work(f"region of a loop with {delay:g} samples of delay"):
         facts = region_facts(gamma=gamma, delta=delta, delay=delay, radius=radius)
     if output:
-        from jaxstab.app.pictures.plane import region_figure
-
-        draw(region_figure(gamma, delta, delay, radius), output)
+        draw(pictures.plane.region_figure(gamma, delta, delay, radius), output)
     if as_json:
         inputs = {name: facts.pop(name) for name in ("gamma", "delta", "delay", "radius")}
         units = dict.fromkeys([*inputs, *(name for name in facts if facts[name] is not None)], "1")

@@ -17,6 +17,8 @@ import click
 import jaxstab
 from jaxstab import lab
 from jaxstab import tables as t
+from jaxstab.answers import Units
+from jaxstab.app import pictures
 from jaxstab.app import scene as scenes
 from jaxstab.app.cli.options import (
     at_work,
@@ -47,16 +49,17 @@ if TYPE_CHECKING:
 @cache
 def _keys() -> dict[str, tuple[tuple[str, ...], Field[Any]]]:
     """The keys of a scene that are options, by the names of these: the path and the field."""
-    from jaxstab.app.scene.scene import INNER, TABLES
-
     names = {
         ("device", "preset"): "device",
         ("velocity", "preset"): "estimator",
         ("controller", "delay_is"): "constant_delay",
     }
-    velocity = ("controller", "velocity"), INNER["velocity"]
+    velocity = ("controller", "velocity"), scenes.scene.INNER["velocity"]
     keys = dict[str, tuple[tuple[str, ...], Field[Any]]]()
-    for path, table in (*(((name,), table) for name, table in TABLES.items()), velocity):
+    for path, table in (
+        *(((name,), table) for name, table in scenes.scene.TABLES.items()),
+        velocity,
+    ):
         for entry in fields(table):
             name = "hand_" * (path[-1] == "hand") + entry.name
             if entry.metadata["words"]:
@@ -89,8 +92,6 @@ def scene_command(
 
 def _option(name: str, entry: Field[Any], *, is_velocity: bool) -> click.Option:
     """Return the option of a key: its kind is that of the field, its unit that of the check."""
-    from jaxstab.answers import Units
-
     kind = get_args(entry.type)[0] if isinstance(entry.type, UnionType) else entry.type
     reads: dict[str, Any] = {"type": kind}
     words, unit = entry.metadata["words"], t.unit_of(entry)
@@ -230,7 +231,7 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
 # The answers of one scene in full, or of several in a table; CSV, JSON, and a picture.
 
 
-class _Row(NamedTuple):
+class _SceneAnswer(NamedTuple):
     """The answer of a scene, or why it was refused."""
 
     source: str
@@ -271,7 +272,7 @@ def _answer(
 
     make: Any = scenes.any_scene
     make = partial(scenes.Backwards.from_table, asked=asked) if asked else make
-    is_one, rows = len(given["files"]) <= 1, list[_Row]()
+    is_one, rows = len(given["files"]) <= 1, list[_SceneAnswer]()
     refusals = () if is_one else (ValueError, TypeError, RuntimeError)
     for source, table in tables_of(given).items():
         scene: Any = None
@@ -279,15 +280,13 @@ def _answer(
             scene = make(table, source if is_one else "")
             if given["plot"]:
                 _require_picture(scene, name, is_one=is_one)
-            rows.append(_Row(source, scene, _computed(scene, name, options), ""))
+            rows.append(_SceneAnswer(source, scene, _computed(scene, name, options), ""))
         except refusals as error:
-            rows.append(_Row(source, scene, None, str(error)))
+            rows.append(_SceneAnswer(source, scene, None, str(error)))
     if given["plot"]:
-        from jaxstab.app.pictures.scene import comparison_figure, scene_figure
-
         answered = {row.source: row.scene for row in rows if row.answer}
-        one = partial(scene_figure, rows[0].scene, rows[0].answer)
-        draw(one() if is_one else comparison_figure(answered), given["plot"])
+        one = partial(pictures.scene.scene_figure, rows[0].scene, rows[0].answer)
+        draw(one() if is_one else pictures.scene.comparison_figure(answered), given["plot"])
     warn(*dict.fromkeys(words for row in rows if row.scene for words in row.scene.unusual()))
     leaves = (leaf for row in rows if row.answer for leaf in row.answer.leaves())
     paths = list(dict.fromkeys(path for path, *_ in leaves))
@@ -337,7 +336,7 @@ def _computed(scene: Any, name: str, options: dict[str, Any]) -> Any:
         return getattr(scenes, functions[name])(scene, **options)
 
 
-def _table(rows: list[_Row]) -> str:
+def _table(rows: list[_SceneAnswer]) -> str:
     """Return the main numbers of each scene, in columns, or the reason why it was refused."""
     mains = (path for row in rows if row.answer for path in row.answer.main_paths())
     paths = list(dict.fromkeys(mains))
@@ -359,10 +358,10 @@ def limits(in_full: bool, islands: bool, **given: Any) -> int:
     for all hands and delays of the scene by proof, and the walls of the scene are among them, 1 if
     not. --gains without a mass or inertia asks for the least inertia that these need.
     """
-    from jaxstab.app.scene.tune import known_of
-
     tables = tables_of(given).values() if given["gains"] else ()
-    is_asked = tables and not any({"mass", "inertia"} & known_of(table) for table in tables)
+    is_asked = tables and not any(
+        {"mass", "inertia"} & scenes.tune.known_of(table) for table in tables
+    )
     asked = "inertia" if is_asked else None
     return _answer(given, "limits", asked, is_short=not (in_full or is_asked), islands=islands)
 
@@ -383,9 +382,7 @@ def check(in_full: bool, certificate: Path | None, **given: Any) -> int:
     holds, 1 if not.
     """
     if certificate:
-        from jaxstab.app.scene.exports import certificate as certified
-
-        claims = certified(scene_of(given, "a certificate"))
+        claims = scenes.exports.certificate(scene_of(given, "a certificate"))
         write_beside(json.dumps(claims, indent=1).encode() + b"\n", certificate)
     is_short = not (in_full or given["as_json"] or given["csv_file"])
     return _answer(given, "check", is_short=is_short, in_full=not is_short)
@@ -417,16 +414,14 @@ def contact(output: Path | None, count: int | None, frictions: str | None, **giv
         return _answer(given, "contact")
     beside = {"plot": given["plot"], "csv": given["csv_file"], "json": given["as_json"]}
     refuse(beside, "is given beside --output; give one of them.")
-    from jaxstab.app.scene.answers import delay_notes
-    from jaxstab.app.scene.contact import map_contacts
     from jaxstab.numbers import listed
 
     scene = scene_of(given, "a map")
     t.require_free(output)
     keep_programs()
-    warn(*scene.unusual(), *delay_notes(scene))
+    warn(*scene.unusual(), *scenes.answers.delay_notes(scene))
     forces = None if frictions is None else listed("friction", frictions)
-    planned = map_contacts(scene, count or 60, forces)
+    planned = scenes.contact.map_contacts(scene, count or 60, forces)
     assert scene.contact is not None  # there is a map
     axes = " x ".join(f"{length} {name}" for name, length in planned.sizes.items())
     words = f"{planned.kind.size:,} contacts of {scene.contact.duration:g} s"
@@ -498,9 +493,7 @@ def files(name: str | None, output: Path | None) -> None:
 
 def _write_shipped(folder: str, name: str, output: Path | None) -> None:
     """Print a file of data/, or write it to a path at which there is nothing."""
-    from jaxstab.app.scene.scene import folder_of
-
-    text = (folder_of(folder) / name).read_text(encoding="utf-8")
+    text = (scenes.scene.folder_of(folder) / name).read_text(encoding="utf-8")
     if output is None or str(output) == "-":
         click.echo(text, nl=False)
         return
@@ -535,13 +528,10 @@ def init(output: Path | None, kind: str) -> None:
 @scene.command()
 def presets() -> None:
     """List devices and velocity estimators by name: their numbers, and where these are from."""
-    from jaxstab.app.scene.scene import numbers_in
-    from jaxstab.app.scene.scene import presets as presets_of
-
     for place, kind in (("device", "devices"), ("controller.velocity", "software")):
-        for name, preset in presets_of(kind).items():
+        for name, preset in scenes.scene.presets(kind).items():
             lines = [f'[{place}] preset = "{name}"', f"  {preset['title']}"]
-            for key, own in numbers_in(preset).items():
+            for key, own in scenes.scene.numbers_in(preset).items():
                 value = own["value"] if isinstance(own["value"], list) else f"{own['value']:g}"
                 words = f"{value} {own['unit']}  ({own['source']}; {own['date']})"
                 lines.append(f"  {key.replace('_', ' '):28}{words}")
@@ -580,7 +570,6 @@ def explore(file: Path | None, output: Path) -> None:
     maker's software. The page is one file, and needs a browser, but no network.
     """
     from jaxstab.app.explore import explorer_page
-    from jaxstab.app.scene.answers import delay_notes
 
     omega = {
         "device": "omega",
@@ -591,7 +580,7 @@ def explore(file: Path | None, output: Path) -> None:
     }
     given = {"files": [file]} if file else omega
     scene = scene_of(given)
-    warn(*scene.unusual(), *delay_notes(scene))
+    warn(*scene.unusual(), *scenes.answers.delay_notes(scene))
     title = f"the scene {file.name}" if file else "an omega-like device at 1 kHz"
     page = explorer_page(scene, title)
     publish(page.encode(), output)
@@ -623,13 +612,10 @@ def guard(output: Path, plot: Path | None, **given: Any) -> None:
     lost = given.pop("lost_samples") or 0  # beside one delay of the scene, too
     scene = scene_of(given, "a guard")
     warn(*scene.unusual())
-    from jaxstab.app.scene.exports import cells_of, guard_about, scene_guard
-    from jaxstab.app.scene.loops import loops_over_delays
-
     name = lab.guard.checked_name(output.stem)  # before the proof, which takes long
-    a, b, c = given["cells"] or cells_of(scene)
+    a, b, c = given["cells"] or scenes.exports.cells_of(scene)
     # One, which is printed as the proof begins.
-    plans = iter([lab.guard.plan_guard(loops_over_delays(scene)[0], (a, b, c))])
+    plans = iter([lab.guard.plan_guard(scenes.loops.loops_over_delays(scene)[0], (a, b, c))])
     with at_work("proving") as show:
 
         def tell(share: float) -> None:
@@ -637,13 +623,11 @@ def guard(output: Path, plot: Path | None, **given: Any) -> None:
                 click.echo(plan, err=True)
             show(share, 1.0)
 
-        made = scene_guard(scene, lost=lost, progress=tell, cells=(a, b, c))
-    about = guard_about(scene, made)
+        made = scenes.exports.scene_guard(scene, lost=lost, progress=tell, cells=(a, b, c))
+    about = scenes.exports.guard_about(scene, made)
     publish(made.header(name, about, scene.units.value[:3]).encode(), output)
     if plot:
-        from jaxstab.app.pictures.scene import guard_figure
-
-        draw(guard_figure(made, scene.units), plot)
+        draw(pictures.scene.guard_figure(made, scene.units), plot)
     click.echo(f"{output}: {output.stat().st_size / 1e3:.0f} kB\n{about}")
 
 
@@ -689,8 +673,6 @@ def identify(
     With --kp and --kd it is of a closed servo, its setpoint in place of the force, with a step:
     inertia, damping and delay are fitted.
     """
-    from jaxstab.answers import Units
-
     gains = {name: given.pop(name) for name in ("kp", "kd")}
     is_servo = None not in gains.values()
     servos = (window_samples, *gains.values())  # options that nothing else has
@@ -720,9 +702,7 @@ def identify(
     unusual = scenes.Scene.from_table(t.parsed(scene)).unusual()
     warn(*filter(None, [clash, device.warning]), *unusual)
     if plot:
-        from jaxstab.app.pictures.scene import identified_figure
-
-        draw(identified_figure(device, units), plot)
+        draw(pictures.scene.identified_figure(device, units), plot)
     if str(output) == "-":
         click.echo(scene, nl=False)
         return
@@ -824,8 +804,6 @@ def study(
 
     Lists of values span a grid, distributions are drawn at each of its points.
     """
-    from jaxstab.app.scene.study import source_of
-
     if output is None and (merge or part):
         raise click.UsageError("--merge and --part are given without --output; give the file.")
     if merge:
@@ -841,7 +819,9 @@ def study(
         keep_programs()
         number, count = part or (1, 1)
         asked: Any = {"answers": given["answer"], "samples": samples, "seed": seed}
-        table, notes = lab.study.plan_study(source_of(scene), over, part=(number, count), **asked)
+        table, notes = lab.study.plan_study(
+            scenes.study.source_of(scene), over, part=(number, count), **asked
+        )
         if samples is not None and "sample" not in table.dims:
             raise click.UsageError(
                 f"--samples is {samples}, but nothing is drawn; leave it out, or let --over have a "
@@ -868,9 +848,7 @@ def study(
         lines += [words] * bool(words) + ([] if numbers is None else [_text(numbers, limit)])
     print_with_csv("\n".join(lines), cells, csv_file, may_replace=False)
     if plot:
-        from jaxstab.app.pictures.scene import study_figure
-
-        draw(study_figure(table), plot)
+        draw(pictures.scene.study_figure(table), plot)
 
 
 # What is printed: the tables of a summary.

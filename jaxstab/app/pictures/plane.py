@@ -2,48 +2,36 @@
 
 from collections.abc import Callable, Sequence
 from math import pi
-from textwrap import fill
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize, PowerNorm
+from matplotlib.colors import BoundaryNorm, Normalize, PowerNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
-from numpy.typing import NDArray
 
-from jaxstab.app.pictures.style import (
+from jaxstab.app.pictures.style import panels
+from jaxstab.atlas import Atlas
+from jaxstab.atlas.picture import draw_verdicts, legend, raster
+from jaxstab.drawing import (
     ALPHA_LABEL,
     BETA_LABEL,
     BLACK,
     BLUE,
-    DAMPING_LABEL,
     GREEN,
     ORANGE,
     RED,
-    SKY,
-    STIFFNESS_LABEL,
-    Floats,
-    closed_outline,
     hand_label,
-    new_axes,
-    panels,
     picture,
     plain,
 )
-from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
-from jaxstab.numbers import checked_number
 from jaxstab.paper import linear_alpha_limit, linear_validity, passive_region
 from jaxstab.paper.facts import resolved_region
 from jaxstab.region.stable_set import printed_extremes
 from jaxstab.shown import number_text
-
-if TYPE_CHECKING:
-    from jaxstab.atlas import Atlas, LoopAtlas
 
 # The paper's figures.
 
@@ -66,7 +54,7 @@ def paper_figure(number: int) -> Figure:
 
 def _draw(panel: Axes, gamma: float, delta: float, delay: float, **look: Any) -> None:
     region = resolved_region(gamma=gamma, delta=delta, delay=delay)
-    panel.plot(*closed_outline(region).T, **{"lw": 1.6, **look})
+    panel.plot(*region._drawn.T, **{"lw": 1.6, **look})
 
 
 # Figures 4, 5 and 6.
@@ -197,8 +185,8 @@ def region_figure(gamma: float, delta: float, delay: float, radius: float = 1.0)
     region = resolved_region(gamma=gamma, delta=delta, delay=delay, radius=radius)
     figure, ((panel,),) = panels(1, 1, width=1.35, height=1.25)
     inside = "stable region" if radius == 1.0 else f"all roots within {radius:g}"
-    panel.plot(*closed_outline(region).T, color=BLUE, label=inside)
-    panel.fill(*closed_outline(region).T, facecolor=BLUE, alpha=0.15)
+    panel.plot(*region._drawn.T, color=BLUE, label=inside)
+    panel.fill(*region._drawn.T, facecolor=BLUE, alpha=0.15)
     window = panel.get_xlim(), panel.get_ylim()
     passive = passive_region(delta=delta, delay=delay).outline
     if len(passive):
@@ -227,18 +215,11 @@ _FIELDS = {
     "damping_ratio": ("damping ratio of the dominant pole", Normalize(0.0, 1.0)),
 }
 
-# Distinguishable with any colour vision, and in grey.
-_COLOURS = {
-    Verdict.NOT_COMPUTED: "#ffffff",
-    Verdict.STABLE: SKY,
-    Verdict.UNSTABLE: "#f5ead0",
-    Verdict.UNDECIDED: "#444444",
-}
 _RADII = (0.6, 0.7, 0.8, 0.85, 0.9, 0.94, 0.97, 1.0, 1.02, 1.05, 1.1)  # finer towards the boundary
 
 
 def draw_atlas(
-    atlas: "Atlas",
+    atlas: Atlas,
     gamma: float | None = None,
     delta: float | None = None,
     delays: Sequence[float] = (),
@@ -261,9 +242,9 @@ def draw_atlas(
     panels = figure.subplots(len(rows), len(chosen), squeeze=False)
     filled: dict[str, ScalarMappable] = {}
     for column, delay in zip(panels.T, chosen, strict=True):
-        alpha, beta = _raster(atlas, *hand, delay)
+        alpha, beta = raster(atlas.table, *hand, delay)
         plane = by_name(*hand, delay)
-        _draw_verdicts(column[0], alpha, beta, atlas.query(alpha, beta[:, None], **plane).verdict)
+        draw_verdicts(column[0], alpha, beta, atlas.query(alpha, beta[:, None], **plane).verdict)
         for panel, row in zip(column[1:], rows[1:], strict=True):
             i, j, k = (_nearest(atlas, *own) for own in plane.items())
             values = atlas.fields[row][:, :, i, j, k].T.astype(float)
@@ -287,7 +268,7 @@ def draw_atlas(
         bar = figure.colorbar(drawn, ax=list(panels[rows.index(row)]), pad=0.01, ticks=ticks)
         bar.ax.tick_params(labelsize=8)
         bar.set_label("spectral radius (line: 1)" if is_radius else _FIELDS[row][0])
-    figure.legend(handles=_legend(), loc="outside lower center", ncols=3, frameon=False)
+    figure.legend(handles=legend(), loc="outside lower center", ncols=3, frameon=False)
     title = f"{plain(atlas.filters_in_words)}\n{hand_label(*hand)}"
     if atlas.has_fields:
         places = zip(("gamma", "delta"), hand, strict=True)
@@ -297,64 +278,7 @@ def draw_atlas(
     return picture(figure, "png")
 
 
-def plot_atlas(
-    atlas: "Atlas", ax: Axes | None, gamma: float | None, delta: float | None, delay: float | None
-) -> Axes:
-    """Draw the verdicts of an atlas in one plane on axes, or on new ones: ``Atlas.plot``."""
-    table = atlas.table
-    hand = (
-        float(table.gamma[table.gamma.size // 2]) if gamma is None else gamma,
-        float(table.delta[table.delta.size // 2]) if delta is None else delta,
-        float(table.delay[0]) if delay is None else delay,
-    )
-    alpha, beta = _raster(atlas, *hand)
-    verdict = atlas.query(alpha, beta[:, None], **by_name(*hand)).verdict
-    words = f"{hand_label(*hand[:2])}, $d = {hand[2]:g}$"
-    return _plot_plane(ax, atlas, (alpha, beta, verdict), (ALPHA_LABEL, BETA_LABEL), words)
-
-
-def plot_walls(walls: "LoopAtlas", ax: Axes | None) -> Axes:
-    """Draw the verdicts of an atlas for the walls of one loop, in SI units: ``LoopAtlas.plot``."""
-    loop = walls.loop
-    alpha, beta = _raster(walls.atlas, *loop.slice.values())
-    stiffness, damping = loop.stiffness(alpha), loop.damping(beta)
-    plane = stiffness, damping, walls.query(stiffness, damping[:, None]).verdict
-    words = f"{loop.mass:g} kg, delay {1e3 * loop.delay:g} ms"
-    return _plot_plane(ax, walls.atlas, plane, (STIFFNESS_LABEL, DAMPING_LABEL), words)
-
-
-def _plot_plane(
-    ax: Axes | None, atlas: "Atlas", plane: Any, labels: tuple[str, str], words: str
-) -> Axes:
-    panel = new_axes() if ax is None else ax
-    _draw_verdicts(panel, *plane)
-    panel.set(xlabel=labels[0], ylabel=labels[1])
-    filters = fill(plain(atlas.filters_in_words), 60)
-    panel.set_title(f"{filters}\n{words}", fontsize=9)
-    panel.legend(handles=_legend(), fontsize=8, loc="upper right")
-    return panel
-
-
-def _raster(atlas: "Atlas", gamma: float, delta: float, delay: float) -> tuple[Floats, Floats]:
-    """Return alphas and betas around the stable set of a plant."""
-    aside = 0.06  # around the stable set, of its size
-    raster = 400  # points along each side of a plane
-    given = {"gamma": gamma, "delta": delta, "delay": delay}
-    plant = [np.array([checked_number(name, value)]) for name, value in given.items()]
-    low, high = atlas.table.ends(*plant)[0]
-    if np.isnan(low):
-        raise ValueError(
-            f"gamma {gamma:g}, delta {delta:g} and delay {delay:g} are outside of this atlas, or "
-            "nothing is stable there."
-        )
-    rows = low + atlas.table.row * (high - low)
-    limits = atlas.table.limits(rows, *(np.repeat(value, rows.size) for value in plant))
-    spans = (np.nanmin(limits.lower), np.nanmax(limits.upper)), (low, high)
-    alpha, beta = (np.linspace(a - aside * (b - a), b + aside * (b - a), raster) for a, b in spans)
-    return alpha, beta
-
-
-def _delays(atlas: "Atlas", given: Sequence[float]) -> list[float]:
+def _delays(atlas: Atlas, given: Sequence[float]) -> list[float]:
     """Return the delays of a picture; ValueError for one that has no fields."""
     most_planes = 6
     nodes = (atlas.fields["delay"] if atlas.has_fields else atlas.table.delay).tolist()
@@ -366,19 +290,6 @@ def _delays(atlas: "Atlas", given: Sequence[float]) -> list[float]:
     return [*(given or (nodes if atlas.has_fields else whole or nodes))][:most_planes]
 
 
-def _draw_verdicts(panel: Axes, alpha: Floats, beta: Floats, verdict: NDArray[np.int8]) -> None:
-    colours = ListedColormap([_COLOURS[code] for code in Verdict])
-    panel.pcolormesh(alpha, beta, verdict, cmap=colours, vmin=-0.5, vmax=len(Verdict) - 0.5)
-
-
-def _nearest(atlas: "Atlas", axis: str, value: float) -> int:
+def _nearest(atlas: Atlas, axis: str, value: float) -> int:
     """Return the number of the node of the fields that is nearest to a value."""
     return int(np.argmin(np.abs(atlas.fields[axis] - value)))
-
-
-def _legend() -> list[Patch]:
-    return [
-        Patch(facecolor=colour, edgecolor="#888888", label=code.name.lower())
-        for code, colour in _COLOURS.items()
-        if code != Verdict.NOT_COMPUTED
-    ]

@@ -10,7 +10,7 @@ percentile of the draws; over two a line for each value of the second one, or a 
 Walls are a line each, with the band of 95 % confidence.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from decimal import ROUND_FLOOR
 from itertools import cycle, product
@@ -29,28 +29,7 @@ from matplotlib.lines import Line2D
 
 from jaxstab import lab
 from jaxstab.answers import BUT_FOR_DRIFT, GIVEN, Basis, GainAnswer, Quantity, Units, in_words
-from jaxstab.app.pictures.style import (
-    BLACK,
-    BLUE,
-    GREEN,
-    HALO,
-    ORANGE,
-    PLUM,
-    PURPLE,
-    RED,
-    SKY,
-    Floats,
-    Level,
-    Spot,
-    closed_outline,
-    draw_islands,
-    draw_linear_rule,
-    draw_stable,
-    plain,
-    plot_moving,
-    raise_powers,
-    write_names,
-)
+from jaxstab.app.pictures.style import HALO, Level, Spot, write_names
 from jaxstab.app.scene import loops
 from jaxstab.app.scene.answers import basis_of
 from jaxstab.app.scene.check import check_walls
@@ -60,9 +39,25 @@ from jaxstab.app.scene.limits import StableGains, passive_walls
 from jaxstab.app.scene.scene import Encoder, Scene
 from jaxstab.app.scene.tune import stiffness_over
 from jaxstab.conventions import Verdict
+from jaxstab.drawing import (
+    BLACK,
+    BLUE,
+    GREEN,
+    ORANGE,
+    PLUM,
+    PURPLE,
+    RED,
+    SKY,
+    Floats,
+    draw_islands,
+    draw_linear_rule,
+    draw_stable,
+    plain,
+    raise_powers,
+)
 from jaxstab.loop import HapticLoop, Region
 from jaxstab.loop.answers import Answers
-from jaxstab.loop.jitter import MovingLoop
+from jaxstab.loop.jitter import Jitter
 from jaxstab.loop.wanted import margins_in_words
 from jaxstab.motion.bounds import likely_settling
 
@@ -197,14 +192,14 @@ def scene_figure(scene: Scene | GainScene, answer: GainAnswer | None = None) -> 
         _set_window(panel, points)
         panel.set_title(words)
         _label_gains(panel, scene.units)
-        draw_stable(panel, region)
+        draw_stable(panel, region._drawn)
         for outline, look in areas:
             panel.fill(*outline.T, **look)
         _draw_usable(panel, *usable)
         if not is_tuned:
-            draw_islands(panel, islands)
+            draw_islands(panel, [island._drawn for island in islands])
         if is_limits:
-            draw_linear_rule(panel, loop)
+            draw_linear_rule(panel, loop._linear_rule)
     for panel in planes[1:]:
         panel.locator_params(axis="x", nbins=5)
     levels = []
@@ -318,14 +313,37 @@ def _moving_figure(scene: Scene, walls: Marks, basis: Basis) -> Figure:
     """Draw walls that are proved for every sequence of delays, and those of the scene."""
     figure = Figure(figsize=(_WIDTH, _HEIGHT), layout="constrained")
     panel = figure.subplots()
-    loop = MovingLoop.from_loop(loops.loops_over_delays(scene)[0], **loops.delays_of(scene))
+    loop = Jitter.from_loop(loops.loops_over_delays(scene)[0], **loops.delays_of(scene))
     stable = [spot for spot, verdict in walls.values() if verdict == Verdict.STABLE]
-    drawn = plot_moving(loop, panel, stable)
+    drawn = draw_moving(loop, panel, stable)
     _draw_marks(panel, walls)
     _set_window(panel, np.concatenate([drawn, _with_origin(walls)]))
     _label_gains(panel, scene.units)
     _write_basis(figure, scene, basis)
     return _with_legend(figure, [panel], walls, 3)
+
+
+def draw_moving(loop: Jitter, panel: Axes, stable: Iterable[tuple[float, float]] = ()) -> Floats:
+    """Draw proved walls of a delay that moves, and unstable ones, which it returns, too.
+
+    The area of the walls that are proved holds those that are known to be stable. ValueError: no
+    wall was found that is proved.
+    """
+    proved, unstable = loop.stiffest_walls(stable)
+    if not len(proved):
+        raise ValueError(
+            "no wall was found that is proved for every sequence of delays; there is nothing to "
+            "draw."
+        )
+    unstable = unstable[np.isfinite(unstable[:, 0])]
+    look: Any = {"color": SKY, "alpha": 0.35, "lw": 0}
+    label = "stable for every sequence of delays, sampled"
+    softest = loop.softest_walls(proved, stable)
+    panel.fill_betweenx(proved[:, 1], softest, proved[:, 0], label=label, **look)
+    label = "stiffest proved for every sequence, at some dampings"
+    panel.plot(*proved.T, "o-", color=BLUE, lw=0.6, ms=4, label=label)
+    panel.plot(*unstable.T, "x", color=RED, ms=6, label="unstable for some sequence, proved")
+    return np.concatenate([proved, unstable])
 
 
 def _label_gains(panel: Axes, units: Units) -> None:
@@ -530,7 +548,7 @@ def comparison_figure(scenes: Mapping[str, Scene]) -> Figure:
     walls, largest = figure.subplots(1, 2, width_ratios=(3, 2))
     for name, region, colour in zip(names, regions, colours, strict=True):
         if not region.is_empty:
-            walls.plot(*closed_outline(region).T, color=colour, lw=1.2, label=name)
+            walls.plot(*region._drawn.T, color=colour, lw=1.2, label=name)
     walls.set_title("stable walls")
     _label_gains(walls, units)
     places = np.arange(len(scenes))
@@ -661,7 +679,7 @@ def _draw_map(
     look |= {"cmap": "inferno_r", "norm": LogNorm(faintest, strongest)}
     mesh = panel.pcolormesh(stiffness, damping, np.where(does_rest, np.nan, size), **look)
     panel.fill([], [], color=REST, label="rests, simulated")
-    edge = panel.plot(*closed_outline(loop.region()).T, color=BLUE, lw=1.6)
+    edge = panel.plot(*loop.region()._drawn.T, color=BLUE, lw=1.6)
     edge[0].set(label="edge of stability of the linear loop", path_effects=HALO)
     panel.set(xlim=(0.0, stiffness[-1]), ylim=(0.0, damping[-1]))
     panel.tick_params(labelsize=8)

@@ -1,3 +1,10 @@
+from . import answers as answers
+from . import contact as contact
+from . import exports as exports
+from . import loops as loops
+from . import scene as scene
+from . import study as study
+from . import tune as tune
 from .answers import explain_model as explain_model
 from .check import check_walls as check_walls
 from .contact import simulate_contacts as simulate_contacts

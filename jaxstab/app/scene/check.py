@@ -20,7 +20,7 @@ from jaxstab.loop import FrequencyMargins, Gains, HapticLoop
 from jaxstab.loop.answers import Answers
 from jaxstab.loop.margins import wall_frequency_margins
 from jaxstab.loop.usable import missed_margins
-from jaxstab.loop.wanted import Wanted
+from jaxstab.loop.wanted import WantedMargins
 from jaxstab.motion import Settling as MotionSettling
 from jaxstab.motion import SettlingStatus
 from jaxstab.rounding import EPS
@@ -61,7 +61,7 @@ def usable_in_words(
     tried: Sequence[Answers], pair: tuple[float, float], margins: Mapping[str, Any]
 ) -> tuple[str, bool]:
     """Whether a stable pair of gains has margins with each of some loops; and that as a truth."""
-    wanted, missed, is_known = Wanted.checked(**margins), dict[str, None](), True
+    wanted, missed, is_known = WantedMargins.checked(**margins), dict[str, None](), True
     for loop in tried:
         found = missed_margins(loop, pair, wanted)
         is_known = is_known and found is not None

@@ -40,7 +40,7 @@ from jaxstab.app.scene.tune import largest_value
 from jaxstab.conventions import Verdict
 from jaxstab.exact import LineStatus, stable_line
 from jaxstab.loop import Loop
-from jaxstab.loop.wanted import Wanted
+from jaxstab.loop.wanted import WantedMargins
 from jaxstab.model.affine import affine_triple
 from jaxstab.model.gain import Gain
 from jaxstab.numbers import without_noise
@@ -272,7 +272,7 @@ class GainScene:
     @property
     def margins(self) -> dict[str, Any]:
         """The margins that are wanted, as ``is_usable`` takes them."""
-        wanted = {name: self.wanted[name] for name in Wanted._fields}
+        wanted = {name: self.wanted[name] for name in WantedMargins._fields}
         return {name: value for name, value in wanted.items() if value is not None}
 
     def unusual(self) -> list[str]:

@@ -20,6 +20,7 @@ from jaxstab.boxes.search import HandRange
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop, Region
 from jaxstab.loop.gains import TwoGains
+from jaxstab.loop.hands import common_walls
 from jaxstab.model import Device, Hand, Mode
 from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.model.filters import Velocity, given_filters
@@ -383,8 +384,6 @@ def held_by(loop: HapticLoop, scene: Scene) -> OneHand:
 
 def common_outline(loops: list[HapticLoop]) -> Floats:
     """Return walls (K, B) that are stable for each of some loops: ``common_walls``, not proved."""
-    from jaxstab.loop.hands import common_walls
-
     regions = [wall_region(loop).reachable for loop in loops]
     if any(region.is_empty for region in regions):
         return np.zeros((0, 2))

@@ -35,7 +35,7 @@ from jaxstab.app.scene.scene import Scene, presets
 from jaxstab.conventions import Status, Verdict
 from jaxstab.loop import Gains, HapticLoop, StableValues, tune_for_all
 from jaxstab.loop.backwards import range_of
-from jaxstab.loop.tune import settling_times
+from jaxstab.loop.worst_settling import settling_times
 from jaxstab.model.filters import dividing_periods, sections_of
 from jaxstab.model.gain import Gain
 from jaxstab.region.curve import bracketed_root

@@ -13,6 +13,7 @@ from jaxtyping import Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, is_any_traced, named
 from jaxstab.conventions import Status
+from jaxstab.drawing import BLACK, BLUE, OCHRE, ORANGE, new_axes
 from jaxstab.loop.jitter import turn_of
 from jaxstab.model import LoopParameters, checked_gain, require_x64
 from jaxstab.model.device.mechanics import handle_equations
@@ -22,10 +23,10 @@ from jaxstab.motion.contact import (
     LIMIT,
     Handle,
     Mechanism,
-    Plant,
     Runs,
     Sides,
     Summary,
+    SwitchedMass,
     contacts,
     paths,
 )
@@ -101,9 +102,23 @@ class Contact(NamedTuple):
             >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
             >>> axes = jaxstab.contact(loop, 1000.0, 2.0, push=1.0).plot()
         """
-        from jaxstab.app.pictures.style import plot_contact
-
-        return plot_contact(self, ax)
+        path = self.path
+        if path is None or path.position.ndim != 1:
+            raise ValueError(
+                f"there is no single path to draw: {self!r}; call jaxstab.contact with one wall."
+            )
+        panel = new_axes() if ax is None else ax
+        panel.axhline(0.0, color=BLACK, lw=0.6)
+        panel.plot(path.time, 1000.0 * path.position, color=BLUE, lw=1.0)
+        panel.set_xlabel("time (s)")
+        if self.kind == ContactKind.RESTS:  # what follows is a straight line
+            panel.set_xlim(0.0, min(path.time[-1], 3.0 * float(self.time_to_rest)))
+        panel.set_ylabel("position (mm), positive inside the wall", color=BLUE)
+        beside = panel.twinx()
+        beside.plot(path.time, path.force, color=ORANGE, lw=0.6)
+        beside.set_ylabel("force of the wall (N)", color=OCHRE)
+        panel.set_title(f"simulated: {ContactKind(int(self.kind)).words}", fontsize=9)
+        return panel
 
 
 _COLUMNS = [
@@ -260,7 +275,7 @@ def contact(
         return setup.answer(
             contacts(setup.plant, setup.controller, runs, setup.samples, setup.sides)
         )
-    if not shape and isinstance(setup.plant, Plant):
+    if not shape and isinstance(setup.plant, SwitchedMass):
         # Numbers of Python are several times faster here.
         runs = Runs(*(column.item() for column in runs))
     summary, (x, v, f) = paths(setup.plant, setup.controller, runs, setup.samples, setup.sides)
@@ -348,7 +363,7 @@ def _mechanism(
             f"simulated up to {FASTEST:g}: give a shorter sample_time."
         )
     if is_mass:
-        return Plant.from_delays(gamma, delta, turn), float(loop.mass) / period**2, gamma
+        return SwitchedMass.from_delays(gamma, delta, turn), float(loop.mass) / period**2, gamma
     return Handle.from_device(device, period, turn), 1.0, device.static_stiffness()
 
 

@@ -157,7 +157,7 @@ Angles = Float64[np.ndarray, " angle"]
 Curves = Float64[np.ndarray, "mass delay hand angle"]
 
 
-class Boundary(NamedTuple):
+class HandBoundaries(NamedTuple):
     """Walls with a root on the unit circle, for each mass, delay and corner of the hands.
 
     ``stiffness`` in N/m and ``damping`` in N s/m are of walls with a pair of roots; two consecutive
@@ -214,7 +214,7 @@ def boundary_of(
     mass: Float64[np.ndarray, " mass"],
     delay: Float64[np.ndarray, " delay"],
     jitter: float = 0.0,
-) -> Boundary:
+) -> HandBoundaries:
     """The boundary for devices of some masses, at delays in samples.
 
     With ``jitter`` each hand is taken with some delays up to so many samples longer, too.
@@ -237,7 +237,7 @@ def boundary_of(
         alpha = np.imag(np.conj(velocity) * wanted) / -twist
         beta = np.imag(np.conj(position) * wanted) / twist
     per_alpha, per_beta, total = (x[..., -1].real for x in (position, velocity, wanted))
-    return Boundary(
+    return HandBoundaries(
         np.nan_to_num(alpha[..., :-1] / period**2),
         np.nan_to_num(beta[..., :-1] / period),
         np.signbit(twist[1:-1]) == np.signbit(twist[:-2]),
@@ -415,7 +415,7 @@ class Guard:
         """The range of delays along the grid: one that moves has but one place there."""
         return self.delay if self.is_delay_constant else (self.delay[0], self.delay[0])
 
-    def _boundary(self, mass: np.ndarray, delay: np.ndarray) -> Boundary:
+    def _boundary(self, mass: np.ndarray, delay: np.ndarray) -> HandBoundaries:
         samples = delay / self.loop.sample_time
         return boundary_of(self.loop, self.hands, mass, samples, self.grid.jitter)
 

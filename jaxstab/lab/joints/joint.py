@@ -22,8 +22,8 @@ from jaxstab.conventions import Verdict
 from jaxstab.exact import wall_verdict
 from jaxstab.exact.ranges import Range, stable_over
 from jaxstab.loop.affine import Loop, simulated_pd
-from jaxstab.loop.backwards import Scan, stable_values
-from jaxstab.loop.hands import LoopsWithHands
+from jaxstab.loop.backwards import Sweep, stable_values
+from jaxstab.loop.hands import HandFamily
 from jaxstab.loop.loop import HapticLoop
 from jaxstab.loop.margins import crossings_of, ends_of_gains
 from jaxstab.model import Device
@@ -78,7 +78,7 @@ class JointControl(NamedTuple):
 
 
 @dataclass(frozen=True)
-class JointLoop:
+class ControlledJoint:
     """A joint under two gains."""
 
     control: JointControl
@@ -131,7 +131,7 @@ class JointLoop:
         springs, (_, delay, jitter, *_) = (self.joint.spring,) * 2, self.control
         moves = (delay, delay + jitter) if jitter and until is None else None
         held, hands = self.loop(self.joint.greatest), HandRange(stiffness=springs)
-        every = LoopsWithHands(held, hands, self._inertias, delays=moves)
+        every = HandFamily(held, hands, self._inertias, delays=moves)
         if until is None:
             return every.worst(*self.gains).verdict
         left = every.unproved(self.gains, until)
@@ -143,7 +143,7 @@ class JointLoop:
         1e-12 of it below, they are not proved stable. With all that were tried it is the least.
         """
         most = self.joint.greatest
-        scan = Scan.of(1e-9 * most, 1e9 * most, 61)
+        scan = Sweep.of(1e-9 * most, 1e9 * most, 61)
         found = stable_values(("inertia", ""), scan, self.verdict_at).intervals
         return next((low.stable for low, high in found if high.stable >= most), nan)
 

@@ -37,8 +37,8 @@ from jaxstab.answers import (
     in_words,
 )
 from jaxstab.conventions import Verdict
-from jaxstab.lab.joints.joint import PD, Joint, JointControl, JointLoop
-from jaxstab.lab.joints.together import RobotLoop, verdict_of
+from jaxstab.lab.joints.joint import PD, ControlledJoint, Joint, JointControl
+from jaxstab.lab.joints.together import ControlledRobot, verdict_of
 from jaxstab.model.filters import Velocity
 from jaxstab.numbers import checked_count, checked_number
 from jaxstab.shown import rounded_text, shortened, table_text
@@ -107,11 +107,13 @@ def joints(
     control = _control(model, simulated=simulated, **timing)
     given = _checked_gains({} if gains is None else gains, [*found])
     plain = Joint(True, 1.0, 1.0, 0.0, 0.0, 0.0, (1.0, 1.0), None)
-    JointLoop(control, plain, plain.gains).verdict_at(1.0)  # refuses timing that no joint can have
+    ControlledJoint(control, plain, plain.gains).verdict_at(
+        1.0
+    )  # refuses timing that no joint can have
     questions = {}
     for name, own in found.items():
         judged = own if name in given else own._replace(reason=own.reason or own.servo)
-        questions[name] = JointLoop(control, judged, given.get(name, own.gains))
+        questions[name] = ControlledJoint(control, judged, given.get(name, own.gains))
     source = str(robot) if isinstance(robot, str | PathLike) else "a model"
     sampled = f"at {postures} postures, with the other joints free to held; armature included"
     loop = f"{control} ({assumed})" if assumed and simulated else str(control)
@@ -376,7 +378,7 @@ class Joints(Answer):
     inputs: GainAnswer
     joints: dict[str, JointAnswer]
     together: Together | None
-    questions: dict[str, JointLoop] = field(repr=False)
+    questions: dict[str, ControlledJoint] = field(repr=False)
     robot: "Postures" = field(repr=False)
 
     @property
@@ -491,7 +493,7 @@ class Joints(Answer):
         return {"inputs": self.inputs, "joints": self.joints, "together": self.together}
 
 
-def _answer(question: JointLoop) -> JointAnswer:
+def _answer(question: ControlledJoint) -> JointAnswer:
     joint, has_gains = question.joint, any(question.gains)
     motion, inertia = "turns" if joint.turns else "slides", (joint.least, joint.greatest)
     kp, kd = question.gains if has_gains else (None, None)
@@ -518,7 +520,7 @@ def _answer(question: JointLoop) -> JointAnswer:
     )
 
 
-def _safe(question: JointLoop) -> PD | None:
+def _safe(question: ControlledJoint) -> PD | None:
     """Gains of which the doubles are stable, too: the first of a sequence of halves."""
     joint, period = question.joint, question.control.sample_time
     critical = joint.least / period**2, 2.0 * joint.least / period
@@ -530,7 +532,7 @@ def _safe(question: JointLoop) -> PD | None:
     return None
 
 
-def _is_safe(question: JointLoop, pair: PD) -> bool:
+def _is_safe(question: ControlledJoint, pair: PD) -> bool:
     """True if two gains and their doubles are proved stable."""
     tried = (replace(question, gains=(n * pair[0], n * pair[1])) for n in (2.0, 1.0))
     with suppress(ValueError):  # of numbers that are too large to compute with
@@ -563,15 +565,15 @@ class Postures:
     damping: np.ndarray
     spring: np.ndarray
 
-    def loops(self, control: JointControl, pairs: Mapping[str, PD]) -> list[RobotLoop]:
+    def loops(self, control: JointControl, pairs: Mapping[str, PD]) -> list[ControlledRobot]:
         """The loop under gains by the names of joints: at its delay, or both ends of it."""
         kp, kd = np.zeros_like(self.damping), np.zeros_like(self.damping)
         for name, pair in pairs.items():
             kp[self.dofs[name]], kd[self.dofs[name]] = pair
         ends = [control, *([control._replace(jitter=0.0)] if control.jitter else [])]
-        return [RobotLoop(end, self.damping, self.spring, kp, kd) for end in ends]
+        return [ControlledRobot(end, self.damping, self.spring, kp, kd) for end in ends]
 
-    def lightest(self, loop: RobotLoop) -> list[int]:
+    def lightest(self, loop: ControlledRobot) -> list[int]:
         """The postures that are asked: those with the largest gains for the inertia first."""
         size = len(loop.one_period(self.masses[0]))
         order = np.argsort([-loop.lightness(mass) for mass in self.masses], kind="stable")

@@ -41,7 +41,7 @@ def verdict_of(radius: float) -> Verdict:
 
 
 @dataclass(frozen=True)
-class RobotLoop:
+class ControlledRobot:
     """The joints of a robot under their gains: arrays (n,) in SI units, at the longest delay."""
 
     control: JointControl
@@ -50,7 +50,7 @@ class RobotLoop:
     kp: Matrix
     kd: Matrix
 
-    def grown(self, factor: float) -> "RobotLoop":
+    def grown(self, factor: float) -> "ControlledRobot":
         """The loop with all gains multiplied by a factor."""
         return replace(self, kp=factor * self.kp, kd=factor * self.kd)
 

@@ -19,7 +19,6 @@ from matplotlib.transforms import Bbox
 import jaxstab
 from jaxstab.answers import Units
 from jaxstab.app.pictures.scene import guard_figure, scene_figure, study_figure
-from jaxstab.app.pictures.style import picture, plain
 from jaxstab.app.scene import (
     Scene,
     check_walls,
@@ -28,6 +27,7 @@ from jaxstab.app.scene import (
     simulate_contacts,
     tune_walls,
 )
+from jaxstab.drawing import picture, plain
 
 ROOT = Path(__file__).parents[3]
 

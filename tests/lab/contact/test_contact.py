@@ -162,7 +162,7 @@ def test_random_runs_are_those_of_scipy_with_events(rng: np.random.Generator) ->
 @pytest.mark.parametrize("delay", [0.0, 1e-9, 0.3])
 def test_the_pieces_of_one_mass_are_its_motion_to_the_last_digits(delay: float) -> None:
     for gamma, delta in ((0.0, 0.0), (1e-3, 0.015), (0.25, 1.0), (2.0, 6.0), (9.9, 0.1)):
-        plant = kernel.Plant.from_delays(gamma, delta, (delay,))
+        plant = kernel.SwitchedMass.from_delays(gamma, delta, (delay,))
         assert sum(length for length, *_ in plant.flows[0]) == pytest.approx(1.0, rel=1e-15)
         for length, *found in plant.flows[0]:
             step, impulse = plants.motion(gamma, delta, length)
