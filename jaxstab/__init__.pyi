@@ -28,6 +28,7 @@ from .loop import pid as pid
 from .loop import regions_of as regions_of
 from .loop import simulated_pd as simulated_pd
 from .loop import tune_for_all as tune_for_all
+from .loop import two_rates as two_rates
 from .model import Device as Device
 from .model import Filter as Filter
 from .model import Hand as Hand

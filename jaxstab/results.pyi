@@ -23,10 +23,12 @@ from .loop import Limits as Limits
 from .loop import ManyRegions as ManyRegions
 from .loop import Margins as Margins
 from .loop import MovingLimits as MovingLimits
+from .loop import RateLimits as RateLimits
 from .loop import Region as Region
 from .loop import StableEnd as StableEnd
 from .loop import StableValues as StableValues
 from .loop import Tuned as Tuned
+from .loop import TwoRates as TwoRates
 from .loop import UsableLimit as UsableLimit
 from .loop import UsableLimits as UsableLimits
 from .loop import WorstDelays as WorstDelays

@@ -33,7 +33,13 @@ CONVERSIONS = {  # of a loop: nothing is asked of it
     "tree_unflatten",
 }  # fmt: skip
 
-MAKERS = {"admittance", "coupling", "pid", "simulated_pd"}  # of loops, whose methods compute
+MAKERS = {
+    "admittance",
+    "coupling",
+    "pid",
+    "simulated_pd",
+    "two_rates",
+}  # of loops, whose methods compute
 
 
 def is_function(value: object) -> bool:

@@ -16,6 +16,9 @@ from .margins import AtFrequency as AtFrequency
 from .margins import FrequencyMargins as FrequencyMargins
 from .margins import Margins as Margins
 from .margins import margins as margins
+from .rates import RateLimits as RateLimits
+from .rates import TwoRates as TwoRates
+from .rates import two_rates as two_rates
 from .region import Gains as Gains
 from .region import Limits as Limits
 from .region import Region as Region

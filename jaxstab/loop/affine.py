@@ -359,7 +359,7 @@ def _units(chart: AffineParts) -> tuple[float, float]:
 # units of the gains.
 
 
-def _rebuilt(door: Callable[Given, Loop]) -> Callable[Given, Loop]:
+def rebuilt(door: Callable[Given, Loop]) -> Callable[Given, Loop]:
     """Let the loops of a door know what they were made of."""
     named_by = signature(door)
 
@@ -372,7 +372,7 @@ def _rebuilt(door: Callable[Given, Loop]) -> Callable[Given, Loop]:
     return made
 
 
-@_rebuilt
+@rebuilt
 def simulated_pd(
     inertia: float,
     *,
@@ -436,7 +436,7 @@ def simulated_pd(
     return Loop(parts, gains, joint.step * substeps, words)
 
 
-@_rebuilt
+@rebuilt
 def admittance(
     environment: float,
     *,
@@ -498,7 +498,7 @@ def _filter(name: str, value: Any, period: float) -> Filter:
     return value
 
 
-@_rebuilt
+@rebuilt
 def pid(
     loop: LoopParameters,
     *,
@@ -563,7 +563,7 @@ def pid(
     return Loop(parts, (others[0], others[1]), float(parts.loop.sample_time), words)
 
 
-@_rebuilt
+@rebuilt
 def coupling(
     first: Device,
     second: Device,

@@ -1,7 +1,8 @@
 """Scenes of other loops than walls: ``[loop] kind = ...``, pairs of gains, and their answers.
 
-A table [loop] has the arguments of the function that makes the loop, which checks them. PID and a
-coupling take their device from [device], [hand] and [controller], as walls do. [gains.NAME] has
+A table [loop] has the arguments of the function that makes the loop, which checks them. PID, a
+coupling and a wall of two rates, both gains of which are slow, take their device from [device],
+[hand] and [controller], as walls do. [gains.NAME] has
 both gains, as the loop calls them; at_NAME in [wanted] asks for the stable values of the other one.
 
 Limits are printed as a stable pair, proved. An admittance may have a range of environments; its
@@ -51,6 +52,7 @@ _DOORS: Mapping[str, tuple[Any, tuple[str, ...]]] = {
     "admittance": (doors.admittance, ()),
     "pid": (doors.pid, ("loop",)),
     "coupling": (doors.coupling, ("first", "sample_time", "delays_samples", "velocity")),
+    "two_rates": (doors.two_rates, ("loop", "slow")),
 }
 """The function of each kind of loop, and what it takes from the tables of a held device."""
 KEYS = {
@@ -63,6 +65,8 @@ KEYS = {
     "environment": ("stiffness of the environment", "N/m"),
     "sample_time": ("sampling period", "s"),
     "delay_samples": ("delay", "samples"),
+    "every": ("samples of a frame", ""),
+    "slow_delay": ("delay of the slow force", "s"),
     "kp": ("kp", "N/m"),
     "ki": ("ki", "N/(m s)"),
     "kd": ("kd", "N s/m"),
@@ -445,6 +449,11 @@ def design_gains(scene: GainScene) -> GainAnswer:
         raise ValueError(f"wanted has {len(asked)} of {both}; give the one to design for.")
     own, goal, place = asked[0], scene.wanted[asked[0].name], "controller" if scene.held else "loop"
     t.checked(f"wanted.{own.name}", goal, t.quantity(own.unit, is_positive=True))
+    if scene.tables["loop"]["kind"] == "two_rates":
+        raise ValueError(
+            "design has no answer for a wall of two rates: its delay is a whole number of samples, "
+            "whose length would change; give another every or slow_delay, and ask limits."
+        )
     section = scene.tables[place]
     period = "step" if "step" in section else "sample_time"
     late = "delay_steps" if period == "step" else "delay" if "delay" in section else "delay_samples"
