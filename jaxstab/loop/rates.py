@@ -23,7 +23,7 @@ from jaxstab.loop.loop import HapticLoop
 from jaxstab.model.balls import Factored, Triple
 from jaxstab.model.device.parts import flint
 from jaxstab.model.filters import behind_measured
-from jaxstab.model.frames import Branch, FrameParts
+from jaxstab.model.frames import ForcePath, FrameParts
 from jaxstab.model.gain import Gain
 from jaxstab.numbers import checked_count, checked_number, checked_word, require_kind
 from jaxstab.shown import Printed, number_text, shortened, stable_pair
@@ -283,12 +283,12 @@ def two_rates(
     if slow == "stiffness" and velocity == "fast":
         raise ValueError('velocity is "fast", as the damping is; leave it out.')
     rates = {
-        "stiffness": Branch(True, late, ramp),
-        "damping": Branch(True, late, ramp, is_fast_inside=velocity == "fast"),
+        "stiffness": ForcePath(True, late, ramp),
+        "damping": ForcePath(True, late, ramp, is_fast_inside=velocity == "fast"),
     }
     for name in rates:
         if slow not in (name, "both"):
-            rates[name] = Branch(False, fast)
+            rates[name] = ForcePath(False, fast)
     parts = FrameParts(replace(plain, delay=0.0), every, **rates)
     if slow != "both":
         return TwoRates(parts, slow, plain)

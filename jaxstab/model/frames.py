@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Branch:
+class ForcePath:
     """How a gain acts: at each sample or once a frame, so many samples late, held or in stairs.
 
     ``is_fast_inside`` is a filter that runs at each sample, though its output is read once a frame.
@@ -51,8 +51,8 @@ class FrameParts(AffineParts):
 
     loop: "LoopParameters"
     every: int
-    stiffness: Branch
-    damping: Branch
+    stiffness: ForcePath
+    damping: ForcePath
 
     def triple(self) -> Triple:
         """The parts of p(z) of a frame, where both gains are slow."""
@@ -89,7 +89,7 @@ class FrameParts(AffineParts):
 
     def filter_of(self, name: str) -> "tuple[list[arb], list[arb]]":
         """Numerator and denominator of the filter of a branch, the highest power of z first."""
-        branch: Branch = getattr(self, name)
+        branch: ForcePath = getattr(self, name)
         is_slow = branch.is_slow and not branch.is_fast_inside
         period = float(self.loop.sample_time) * (self.every if is_slow else 1)
         filters = given_filters(self.loop.velocity, self.loop.position) or NO_FILTERS
@@ -128,7 +128,7 @@ class _Frame:
 
     def depth(self, name: str) -> int:
         """How many earlier numbers of a branch are kept."""
-        branch: Branch = getattr(self.parts, name)
+        branch: ForcePath = getattr(self.parts, name)
         if not branch.is_slow:
             return branch.late
         return ceil(branch.late / self.parts.every) + branch.is_ramp
@@ -159,7 +159,7 @@ class _Frame:
         self, now: dict[str, Any], kept: dict[str, Any], name: str, sample: int, position: Any
     ) -> "list[tuple[arb, list[arb]]]":
         """What a branch has acting at a sample, with its share; its filter goes on."""
-        branch: Branch = getattr(self.parts, name)
+        branch: ForcePath = getattr(self.parts, name)
         one, n = flint.arb(1), self.parts.every
         if sample == 0 or not branch.is_slow or branch.is_fast_inside:
             order = len(self.filters[name][0]) - 1
