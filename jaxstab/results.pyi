@@ -29,7 +29,6 @@ from .loop import StableEnd as StableEnd
 from .loop import StableValues as StableValues
 from .loop import Tuned as Tuned
 from .loop import TwoRates as TwoRates
-from .loop import UsableLimit as UsableLimit
 from .loop import UsableLimits as UsableLimits
 from .loop import WorstDelays as WorstDelays
 from .loop import WorstHand as WorstHand

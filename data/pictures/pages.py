@@ -48,10 +48,10 @@ def usable(loop: jaxstab.HapticLoop) -> None:
         ({"phase_margin": 45.0}, "45 degrees of phase margin", "#eec093"),
     ):
         best = loop.limits(**margins)
-        rows = best.second.value * np.linspace(0.0, 1.0, 81)[:-1]
+        rows = best.second * np.linspace(0.0, 1.0, 81)[:-1]
         ends = [loop.intervals(damping=row, **margins).inner for row in rows.tolist()]
         widest = [max((high for _, high in row), default=0.0) for row in ends]
-        label = f"{words}: up to {int(best.first.value):,} N/m"
+        label = f"{words}: up to {int(best.first):,} N/m"
         ax.fill_betweenx(rows, 0.0, widest, color=color, label=label)
     passive = loop.passive_region()
     inset = ax.inset_axes([0.73, 0.3, 0.25, 0.3])

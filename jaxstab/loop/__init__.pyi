@@ -24,7 +24,6 @@ from .region import Limits as Limits
 from .region import Region as Region
 from .region import Tuned as Tuned
 from .tune import minimize_settling as minimize_settling
-from .usable import UsableLimit as UsableLimit
 from .usable import UsableLimits as UsableLimits
 from .worst_settling import CommonWall as CommonWall
 from .worst_settling import tune_for_all as tune_for_all

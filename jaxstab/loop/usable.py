@@ -17,6 +17,7 @@ from jaxstab.conventions import Verdict
 from jaxstab.exact.line import LineStatus, StableLine
 from jaxstab.exact.margins import Reading
 from jaxstab.exact.usable import Judgement, Row, RowSearch, judged
+from jaxstab.loop.gains import by_gain
 from jaxstab.loop.margins import delay_reading
 from jaxstab.loop.wanted import WantedMargins
 from jaxstab.model.device.parts import remembered
@@ -24,44 +25,56 @@ from jaxstab.model.gain import Gain
 from jaxstab.shown import number_text, stable_pair
 
 
-class UsableLimit(NamedTuple):
-    """The largest value found of a gain, and the other gain there; NaN if none is usable.
-
-    Example:
-        >>> jaxstab.simulated_pd(0.1, step=2e-3, substeps=4).limits(sensitivity=1.5).first.gain.name
-        'kp'
-    """
-
-    gain: Gain
-    value: float
-    at: float
-
-
 class UsableLimits(NamedTuple):
-    """The largest usable value of each gain, as far as a search finds it.
+    """The largest usable value of each gain, as far as a search finds it; NaN if none is usable.
 
     Each pair is proved to have the margins with the digits that are printed. That no usable pair
-    has a larger gain is searched, not proved. Gains are >= 0.
+    has a larger gain is searched, not proved. Gains are >= 0. Each value has a name of the gains,
+    too, as in ``Limits``: ``stiffness`` and ``at_damping`` of a wall.
+
+    Attributes:
+        first: the largest value found of the first gain.
+        at_second: the second gain there.
+        second, at_first: the same of the second gain.
+        wanted: the margins in words.
+        names: those of the gains, and their units.
 
     Example:
-        >>> jaxstab.simulated_pd(0.1, step=2e-3, substeps=4).limits(sensitivity=1.5)
+        >>> limits = jaxstab.simulated_pd(0.1, step=2e-3, substeps=4).limits(sensitivity=1.5)
+        >>> limits
         UsableLimits: a peak of |S| of 1.5 at most
           largest kp = 383.099 N m/rad at kd = 7.63745 N m s/rad
           largest kd = 8.3333... N m s/rad at kp = ...
+        >>> limits.kp == limits.first, limits.at_kd == limits.at_second
+        (True, True)
     """
 
-    first: UsableLimit
-    second: UsableLimit
+    first: float
+    at_second: float
+    second: float
+    at_first: float
     wanted: str
+    names: tuple[Gain, Gain]
+
+    def __getattr__(self, name: str) -> float:
+        """The largest value of a gain, or the gain at that of the other one, by its name."""
+        one, two = (gain.name for gain in self.names)
+        values = one, f"at_{two}", two, f"at_{one}"
+        value: float = by_gain(self, name, dict(zip(values, self[:4], strict=True)))
+        return value
 
     def __repr__(self) -> str:
-        if not isfinite(self.first.value) and not isfinite(self.second.value):
+        if not isfinite(self.first) and not isfinite(self.second):
             return f"UsableLimits: no gains with {self.wanted} were found"
         lines = [f"UsableLimits: {self.wanted}"]
-        for own, other in ((self.first, self.second), (self.second, self.first)):
-            value = number_text(own.value, 6, unit=own.gain.unit)
-            at = number_text(own.at, 6, unit=other.gain.unit)
-            lines.append(f"  largest {own.gain.name} = {value} at {other.gain.name} = {at}")
+        one, two = self.names
+        of_each = (one, self.first, two, self.at_second), (two, self.second, one, self.at_first)
+        for own, largest, other, at in of_each:
+            value = number_text(largest, 6, unit=own.unit)
+            lines.append(
+                f"  largest {own.name} = {value} at {other.name} = "
+                f"{number_text(at, 6, unit=other.unit)}"
+            )
         return "\n".join(lines)
 
 
@@ -144,12 +157,11 @@ def usable_limits(loop: Any, wanted: WantedMargins) -> UsableLimits:
     region = loop.region()
     main = region.main or region
     if not main.components:
-        limits = [UsableLimit(gain, nan, nan) for gain in loop.gains]
-        return UsableLimits(limits[0], limits[1], wanted.words)
+        return UsableLimits(nan, nan, nan, nan, wanted.words, loop.gains)
     first, second = (_Tops(loop, axis, main, wanted) for axis in (0, 1))
     found = first.largest()
-    places = [found.value * 10.0**-k for k in range(3)] if isfinite(found.value) else []
-    return UsableLimits(found, second.largest(places), wanted.words)
+    places = [found[0] * 10.0**-k for k in range(3)] if isfinite(found[0]) else []
+    return UsableLimits(*found, *second.largest(places), wanted.words, loop.gains)
 
 
 class _Tops:
@@ -188,9 +200,12 @@ class _Tops:
         """Both gains, in the order of the loop."""
         return (value, at) if self.axis == 0 else (at, value)
 
-    def largest(self, places: Sequence[float] = ()) -> UsableLimit:
-        """The largest gain that is found, and proved; some places of the other one are tried."""
-        gain, most = self.loop.gains[self.axis], self.most
+    def largest(self, places: Sequence[float] = ()) -> tuple[float, float]:
+        """The largest gain that is found, and proved, and the other one there.
+
+        Some ``places`` of the other one are tried first.
+        """
+        most = self.most
         tried = np.r_[np.geomspace(1e-3 * most, 0.1 * most, 4), np.linspace(0.0, most, _ROWS)]
         tried = np.r_[places, tried]
         for self.is_sure in (False, True):  # E5 is asked in every row where the scan misses angles
@@ -198,8 +213,8 @@ class _Tops:
             for back in (0.0, 1e-9, 1e-8, 1e-7) if isfinite(value) else ():
                 pair = value * (1.0 - back), at
                 if self._is_usable(*pair):
-                    return UsableLimit(gain, *stable_pair(*pair, (6, 6), self._is_usable))
-        return UsableLimit(gain, nan, nan)
+                    return stable_pair(*pair, (6, 6), self._is_usable)
+        return nan, nan
 
     def _is_usable(self, value: float, at: float) -> bool:
         return bool(judgement(self.loop, self.pair(value, at), self.wanted).is_usable)

@@ -188,15 +188,15 @@ def test_the_largest_stiffness_has_just_the_margin(
 ) -> None:
     pytest.importorskip("control")
     limits = WINDOW.limits(**wanted)
-    found = limits.first
-    assert found.value == pytest.approx(stiffness, rel=1e-8)
-    assert found.at == pytest.approx(damping, rel=1e-4)
-    measured = control_margins(WINDOW, float(found.value), float(found.at))[which]
+    assert limits.stiffness == pytest.approx(stiffness, rel=1e-8)
+    assert limits.at_damping == pytest.approx(damping, rel=1e-4)
+    pair = float(limits.stiffness), float(limits.at_damping)
+    measured = control_margins(WINDOW, *pair)[which]
     assert measured == pytest.approx(value, rel=1e-3)
     text = repr(limits).splitlines()[1]
-    pair = [float(word) for word in text.split() if word[0].isdigit()]
-    assert WINDOW.is_usable(pair[0], pair[1], **wanted)
-    assert WINDOW.is_usable(pair[0] * 1.0001, pair[1], **wanted) is False
+    printed = [float(word) for word in text.split() if word[0].isdigit()]
+    assert WINDOW.is_usable(printed[0], printed[1], **wanted)
+    assert WINDOW.is_usable(printed[0] * 1.0001, printed[1], **wanted) is False
 
 
 def test_rows_end_where_the_margin_is_missed() -> None:
@@ -218,8 +218,8 @@ def test_rows_end_where_the_margin_is_missed() -> None:
 def test_a_delay_margin_is_that_of_the_device_between_samples() -> None:
     assert WINDOW.is_usable(650.62, 12.0, delay_margin=5e-3)
     assert WINDOW.is_usable(650.63, 12.0, delay_margin=5e-3) is False
-    found = WINDOW.limits(delay_margin=5e-3).first
-    pair = float(found.value), float(found.at)
+    found = WINDOW.limits(delay_margin=5e-3)
+    pair = float(found.stiffness), float(found.at_damping)
     later = HapticLoop(**OMEGA | {"delay": 6e-3}, velocity=WINDOW.velocity)
     assert later.verdict(*pair)
     assert not later.verdict(pair[0] * 1.001, pair[1])
@@ -228,18 +228,18 @@ def test_a_delay_margin_is_that_of_the_device_between_samples() -> None:
 @pytest.mark.campaign
 def test_every_kind_of_loop_has_limits_with_margins() -> None:
     joint = jaxstab.simulated_pd(0.1, step=2e-3, substeps=4)
-    assert joint.limits(sensitivity=1.5).first.value == pytest.approx(383.0992350, rel=1e-8)
-    both = joint.limits(phase_margin=45, gain_margin=2).first
-    assert both.value == pytest.approx(467.9833453, rel=1e-8)
+    assert joint.limits(sensitivity=1.5).kp == pytest.approx(383.0992350, rel=1e-8)
+    both = joint.limits(phase_margin=45, gain_margin=2)
+    assert both.kp == pytest.approx(467.9833453, rel=1e-8)
     pid = jaxstab.pid(HapticLoop(**OMEGA), kd=50.0)
-    most = pid.limits(phase_margin=30, gain_margin=(1 / 1.5, 1.5)).second
-    assert most.value == pytest.approx(577599.8362, rel=1e-6)
+    most = pid.limits(phase_margin=30, gain_margin=(1 / 1.5, 1.5))
+    assert most.ki == pytest.approx(577599.8362, rel=1e-6)
     light, heavy = (
         jaxstab.Device.mass_spring_damper(mass, damping=damping)
         for mass, damping in ((0.25, 0.1), (0.5, 0.2))
     )
     coupling = jaxstab.coupling(light, heavy, sample_time=1e-3, delays_samples=(1.0, 2.0))
-    assert coupling.limits(phase_margin=30).first.value == pytest.approx(5264.474889, rel=1e-8)
+    assert coupling.limits(phase_margin=30).stiffness == pytest.approx(5264.474889, rel=1e-8)
 
 
 # ----------------------------------------------------------------------------------------- refusals

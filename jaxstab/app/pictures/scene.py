@@ -418,7 +418,7 @@ def _usable(loop: Answers, margins: Mapping[str, Any]) -> tuple[list[list[Spot]]
     rows = 48
     if not margins or "delay_margin" in margins:
         return [], ""
-    top, other = loop.limits(**margins).second.value, loop.gains[1].name
+    top, other = loop.limits(**margins).second, loop.gains[1].name
     if not isfinite(top):
         return [], ""
     places = (top * np.linspace(0.0, 1.0 - 1e-6, rows)).tolist()

@@ -88,9 +88,8 @@ class StableGains:
     def found(self, own: Gain) -> tuple[float, float]:
         """The limit of a gain, and the other gain there; RuntimeError where it is not resolved."""
         if self.margins:
-            usable = self._usable
-            limit = usable.first if own == self.loop.gains[0] else usable.second
-            return limit.value, limit.at
+            pairs = self._usable[:2], self._usable[2:4]
+            return pairs[self.loop.gains.index(own)]
         region = self.loop.region()
         if region.status == RegionStatus.UNRESOLVED:
             raise RuntimeError(
