@@ -527,7 +527,8 @@ class RowSearch:
         for _ in range(_MOST_BOXES):
             if not todo:
                 break
-            left, right = todo.pop()
+            # The widest first: next to an end proofs may need boxes without end.
+            left, right = todo.pop(max(range(len(todo)), key=lambda k: _width(*todo[k])))
             middle = 0.5 * (left.inner + right.inner)
             if self._all_usable(left.inner, right.inner):
                 done.append(_interval(left, right))
@@ -550,6 +551,10 @@ class RowSearch:
         return all(m is not None for _, m in found) and all(
             _is_positive(self.row, kind, low, high, m) for kind, m in found if m is not None
         )
+
+
+def _width(low: UsableEnd, high: UsableEnd) -> float:
+    return high.inner - low.inner
 
 
 def _interval(low: UsableEnd, high: UsableEnd) -> Interval:

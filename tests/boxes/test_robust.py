@@ -74,7 +74,7 @@ def test_passive_walls_lie_in_the_robust_region(robust):
 
 def test_the_passive_triangle_lies_in_the_robust_region_and_is_smaller():
     robust = robust_region(**by_name(*RANGES["figure 9"]))
-    assert robust.max_alpha[0] > passive_region(delta=1.0).max_alpha[0] * 1.1
+    assert robust.max_alpha[0] > passive_region(delta=1.0).stiffest[0] * 1.1
 
 
 def test_without_damping_only_the_origin_is_robust():

@@ -188,7 +188,7 @@ def test_the_largest_stiffness_has_just_the_margin(
 ) -> None:
     pytest.importorskip("control")
     limits = WINDOW.limits(**wanted)
-    assert limits.stiffness == pytest.approx(stiffness, rel=1e-8)
+    assert limits.stiffness == pytest.approx(stiffness, rel=3e-8)  # 1e-8 inside of the end
     assert limits.at_damping == pytest.approx(damping, rel=1e-4)
     pair = float(limits.stiffness), float(limits.at_damping)
     measured = control_margins(WINDOW, *pair)[which]

@@ -381,6 +381,10 @@ def _around(scene: Scene, stable: StableGains, wall: Gains) -> GainAnswer:
     return replace(found, values=found.values | {"exception": words}, is_stable=False)
 
 
+def _given(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else shortened(value)
+
+
 def _over_delays(scene: Scene) -> GainAnswer:
     """Return the stiffest wall that is proved for a range of delays, and the verdicts on walls."""
     wanted, loop, controller = scene.wanted, loops.loops_over_delays(scene)[0], scene.controller
@@ -389,8 +393,8 @@ def _over_delays(scene: Scene) -> GainAnswer:
     for name, value in {**given, **wanted.margins}.items():
         if value is not None:
             raise ValueError(
-                f"wanted.{name} is {shortened(value)} beside a range of delays; leave it out, or "
-                "give one delay."
+                f"wanted.{name} is {_given(value)} beside a range of delays; leave it out, or give "
+                "one delay."
             )
     unstable, safety, every = None, wanted.safety or 1.0, "constant delay"
     if controller.moves:
