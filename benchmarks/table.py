@@ -129,7 +129,9 @@ def maps(records: list[Record]) -> str:
             by_size = {row["batch"]: row for row in rows}
             own = [
                 f"{_time(row['seconds_per_point'])}, {row['times_numpy_eigvals']:.2g}x"
-                for row in map(by_size.__getitem__, sizes)
+                if row
+                else "-"
+                for row in map(by_size.get, sizes)
             ]
             error = max(row["error"] for row in by_size.values())
             lines.append((section, method, *own, f"{error:.1e}"))
