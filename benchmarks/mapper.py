@@ -35,7 +35,7 @@ _LOOPS: dict[str, tuple[float, Velocity, Rational]] = {
     "low pass": (1.0, Velocity.low_pass(_CUTOFF), times(difference(1), low_pass(_CUTOFF, 1))),
     "window of 20": (1.0, Velocity.difference(samples=20), difference(20)),
 }
-_SIDES = (32, 100, 316, 1000, 3162)
+_SIDES = (32, 100, 316, 1000)  # at 3,162 a jit of the caller takes 31 GB for radii
 _MOST = {"low pass": 316, "window of 20": 316}  # of a side: radii take minutes beyond
 _LAPACK_WORK = 4e5  # points times degree squared of a timed call
 _JUDGED = 40
@@ -54,11 +54,12 @@ print(process_time() - start)
 """
 
 
-def rows(small: bool) -> Iterator[Row]:
+def rows(small: bool, points: int = 1_000_000) -> Iterator[Row]:
+    """Rows of grids of at most so many points."""
     sections = list(_LOOPS)[:1] if small else list(_LOOPS)
     for section in sections:
         for side in (20,) if small else _SIDES:
-            if side <= _MOST.get(section, side):
+            if side <= _MOST.get(section, side) and side**2 <= points:
                 yield from _of_grid(section, side, small)
 
 

@@ -121,7 +121,7 @@ def put_into_pages(records: list[Record]) -> None:
 
 def maps(records: list[Record]) -> str:
     """The CPU time of a point of dense grids, by how many points there are, beside its error."""
-    one = of_one_machine(records)["mapper"]
+    one = next(one for one in records if one["benchmark"] == "mapper")
     sizes = sorted({row["batch"] for row in one["rows"]})
     lines = []
     for section, some in _grouped(one["rows"], "section").items():
