@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 TOLERANCE = 1e-6  # of the outline, by default
-Number = TypeVar("Number", float, Array)
+Number = TypeVar("Number")  # a float, or an array of many
 
 
 class Gains(NamedTuple):
