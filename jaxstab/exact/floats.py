@@ -1,10 +1,11 @@
-"""Polynomials in balls at angles of the unit circle, in float64: they suggest, and prove nothing.
+"""What suggests, in float64, and proves nothing: values on the unit circle, places of maxima.
 
-Known roots at 0, 1 and -1 and windows are factors of their own, and next to z = 1 the rest is in
-powers of z - 1, so that small values, real and imaginary parts each, keep their digits there.
+Of a polynomial in balls known roots at 0, 1 and -1 and windows are factors of their own, and next
+to z = 1 the rest is in powers of z - 1, so that small values, real and imaginary parts each, keep
+their digits there.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from flint import arb_poly
@@ -43,3 +44,25 @@ class FloatValues:
         for root in roots[(np.abs(roots) > 0.3) & (np.abs(roots) < 3.0)]:
             width = max(abs(np.log(abs(root))), 1e-9)
             yield np.abs(np.abs(np.angle(root)) + width * np.r_[-aside, aside])
+
+
+def highest(
+    function: Callable[[float], float], low: float, high: float, steps: int
+) -> tuple[float, float]:
+    """The largest value that golden sections of an interval meet, and where it is."""
+    share = 0.6180339887498949
+    x, y = high - share * (high - low), low + share * (high - low)
+    at_x, at_y = function(x), function(y)
+    best = max((at_x, x), (at_y, y))
+    for _ in range(steps):
+        if at_x >= at_y:
+            high, y, at_y = y, x, at_x
+            x = high - share * (high - low)
+            at_x = function(x)
+            best = max(best, (at_x, x))
+        else:
+            low, x, at_x = x, y, at_y
+            y = low + share * (high - low)
+            at_y = function(y)
+            best = max(best, (at_y, y))
+    return best

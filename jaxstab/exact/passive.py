@@ -20,7 +20,7 @@ larger eigenvalue of a Hermitian form is at most b. ``needed`` has that eigenval
 from collections.abc import Callable
 from functools import cached_property
 from math import floor, pi
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from flint import arb, arb_poly
@@ -28,61 +28,43 @@ from jaxtyping import Float64
 
 from jaxstab.exact.circle import is_positive
 from jaxstab.exact.floats import FloatValues
+from jaxstab.exact.margins import squared
 from jaxstab.exact.roots import are_inside, sign_of
-from jaxstab.model.balls import Factored
+from jaxstab.model.balls import Factored, LoopFactors
 from jaxstab.model.device.parts import FIRST_BITS, decided, working_precision
 
 Angles = Float64[np.ndarray, " angle"]
 
 
-class Filters(NamedTuple):
-    """P = Np/Dp and V = Nv/Dv, V in 1/s, in balls."""
-
-    position: tuple[Factored, Factored]
-    velocity: tuple[Factored, Factored]
-
-    @property
-    def below(self) -> Factored:
-        """The denominator of H."""
-        return self.position[1].times(self.velocity[1])
-
-    def above(self, stiffness: float, damping: float) -> Factored:
-        """The numerator of H."""
-        (above_p, below_p), (above_v, below_v) = self.position, self.velocity
-        by_stiffness = above_p.times(below_v).scaled(stiffness)
-        return by_stiffness.plus(above_v.times(below_p).scaled(damping))
-
-    @property
-    def are_covered(self) -> bool | None:
-        """True if both are stable, V(1) = 0 and P(1) > 0; None where balls do not tell."""
-        if not self.velocity[0].at_one:
-            return False
-        is_stable = are_inside(self.below)
-        sign = sign_of(self.position[0].at_end(1)) * sign_of(self.position[1].at_end(1))
-        return None if is_stable is None or not sign else bool(is_stable and sign > 0)
+def are_covered(own: LoopFactors) -> bool | None:
+    """True if both filters are stable, V(1) = 0 and P(1) > 0; None where balls do not tell."""
+    (above, below), (velocity, _) = own.position, own.velocity
+    if not velocity.at_one:
+        return False
+    is_stable = are_inside(_below(own))
+    sign = sign_of(above.at_end(1)) * sign_of(below.at_end(1))
+    return None if is_stable is None or not sign else bool(is_stable and sign > 0)
 
 
-def difference(period: float) -> Filters:
-    """The position as it is, and its difference over one sample."""
-    one = Factored(arb_poly([1]))
-    above, below = Factored(arb_poly([1 / arb(period)]), at_one=1), Factored(arb_poly([1]), power=1)
-    return Filters((one, one), (above, below))
+def _below(own: LoopFactors) -> Factored:
+    """The denominator of H."""
+    return own.position[1].times(own.velocity[1])
 
 
 class Wall:
     """A wall behind its filters, a delay and a hold, beside a damper.
 
     Args:
-        filters: makes them, in balls of the precision that is set.
+        factors: makes the filters P and V of a loop, in balls of the precision that is set.
         delay: in samples.
         period: T in s.
         damper: b in N s/m, > 0.
     """
 
     def __init__(
-        self, filters: Callable[[], Filters], delay: float, period: float, damper: float
+        self, factors: Callable[[], LoopFactors], delay: float, period: float, damper: float
     ) -> None:
-        self.filters, self.delay, self.period, self.damper = filters, delay, period, damper
+        self.factors, self.delay, self.period, self.damper = factors, delay, period, damper
 
     def is_passive(self, stiffness: float, damping: float) -> bool | None:
         """True if the wall (K, B) is proved passive, False if not; None where it is not told."""
@@ -92,9 +74,8 @@ class Wall:
             return stiffness == damping == 0.0  # the mean of R is T K P(1)/2, so that some R > 0
 
         def answer() -> bool | None:
-            filters = self.filters()
-            sides = self._cosines(filters.above(stiffness, damping), filters.below)
-            return is_positive(sides)
+            own = self.factors()
+            return is_positive(self._cosines(own.wall(stiffness, damping), _below(own)))
 
         return decided(answer)
 
@@ -109,15 +90,15 @@ class Wall:
         kernels = [arb(0)] * (max(map(abs, orders)) + 1)  # by the orders of Dirichlet's
         for order, c in zip(orders, late_force.coeffs(), strict=True):
             kernels[max(order - 1, -order)] += -c if order >= 1 else c
-        size = max(len(kernels), len(d.coeffs()), len(n.coeffs()))
+        size = max(len(kernels), d.length(), n.length())
         total, tail = [arb(0)] * size, arb(0)
         for order in reversed(range(len(kernels))):
             tail += kernels[order]
             total[order] -= tail * period / (1 if order else 2)
         fold = period**2 * late * (1 - late) / (4 * arb(self.damper))
-        for weight, side in ((arb(self.damper), d), (-fold, n)):
-            for lag, c in enumerate(_squared(side)):
-                total[lag] += weight * c
+        for weight, side in ((arb(self.damper), below), (-fold, above)):
+            for lag, c in enumerate(squared(side)):
+                total[lag] += weight * c * (2 if lag else 1)
         return total
 
     # What follows suggests.
@@ -125,8 +106,8 @@ class Wall:
     @cached_property
     def _values(self) -> list[FloatValues]:
         with working_precision(FIRST_BITS):
-            filters = self.filters()
-            return [FloatValues(side) for pair in filters for side in pair]
+            own = self.factors()
+            return [FloatValues(side) for side in (*own.position, *own.velocity)]
 
     @cached_property
     def angles(self) -> Angles:
@@ -156,10 +137,3 @@ class Wall:
         size = self.period * np.abs(walls[0] * p + walls[1] * v)
         need: np.ndarray = 0.5 * (real + np.sqrt(real**2 + late * (1.0 - late) * size**2))
         return need
-
-
-def _squared(p: arb_poly) -> list[arb]:
-    """The coefficients of |p|^2 over cos(k theta)."""
-    rising = p.coeffs()
-    product = arb_poly(rising) * arb_poly(rising[::-1])
-    return [product[len(rising) - 1 + lag] * (2 if lag else 1) for lag in range(len(rising))]

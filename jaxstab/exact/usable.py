@@ -33,7 +33,7 @@ from flint import arb, arb_poly
 from jaxtyping import Float64
 
 from jaxstab.exact.circle import is_positive
-from jaxstab.exact.floats import FloatValues
+from jaxstab.exact.floats import FloatValues, highest
 from jaxstab.exact.line import End, Interval, StableLine
 from jaxstab.exact.margins import Reading, readings
 from jaxstab.model.balls import Factored
@@ -284,23 +284,9 @@ def _suggested(
 
 
 def _highest(function: Callable[[float], float], most: float) -> float:
-    """Where a concave function is largest, 0 if that is good enough, by golden sections."""
-    steps, share = 40, 0.6180339887498949
-    if function(0.0) > 0.0:
-        return 0.0
-    a, b = -most, most
-    x, y = b - share * (b - a), a + share * (b - a)
-    at_x, at_y = function(x), function(y)
-    for _ in range(steps):
-        if at_x >= at_y:
-            b, y, at_y = y, x, at_x
-            x = b - share * (b - a)
-            at_x = function(x)
-        else:
-            a, x, at_x = x, y, at_y
-            y = a + share * (b - a)
-            at_y = function(y)
-    return 0.5 * (a + b)
+    """Where a concave function is largest, 0 if that is good enough."""
+    steps = 40
+    return 0.0 if function(0.0) > 0.0 else highest(function, -most, most, steps)[1]
 
 
 # --------------------------------------------------------------------------------- ends of a row

@@ -1,8 +1,9 @@
 """Which walls of a held device no hand can draw energy from: what ``exact.passive`` is asked."""
 
+from functools import partial
 from math import inf
 
-from jaxstab.exact.passive import Filters, Wall
+from jaxstab.exact.passive import Wall, are_covered
 from jaxstab.model import LoopParameters
 from jaxstab.model.balls import ball_loop
 from jaxstab.model.device.parts import FIRST_BITS, MassSpringDamper, working_precision
@@ -25,16 +26,13 @@ def passive_wall(loop: LoopParameters) -> Wall:
             )
         damper = body.damping
 
-    def filters() -> Filters:
-        parts = ball_loop(loop)
-        return Filters(parts.position, parts.velocity)
-
+    factors = partial(ball_loop, loop)
     with working_precision(FIRST_BITS):
-        is_covered = filters().are_covered
+        is_covered = are_covered(factors())
     if not is_covered:
         raise ValueError(
             "a filter of the loop is not stable, or the velocity of a position at rest is not 0, "
             "or a constant position is not passed with its sign; no wall is known to be passive."
         )
     assert damper is not None  # beside device_mass
-    return Wall(filters, float(loop.delay_samples), float(loop.sample_time), float(damper))
+    return Wall(factors, float(loop.delay_samples), float(loop.sample_time), float(damper))

@@ -16,6 +16,7 @@ import numpy as np
 
 from jaxstab.conventions import Verdict
 from jaxstab.exact import StableLine
+from jaxstab.exact.floats import highest
 from jaxstab.exact.line import stable_pencil
 from jaxstab.exact.roots import wall_verdict
 from jaxstab.loop.affine import Loop
@@ -31,6 +32,7 @@ from jaxstab.shown import Printed, number_text, shortened, stable_pair
 _GAINS = Gain("stiffness", "N/m"), Gain("damping", "N s/m")
 _MOST = 200  # of a frame, and of a delay
 _ROWS = 40  # of a scan, on a scale of numbers and on one of logarithms each
+_STEPS = 50  # of golden sections, and of halving
 
 
 class RateLimits(NamedTuple):
@@ -82,9 +84,12 @@ class TwoRates:
     slow: str
     fast: HapticLoop  # of one rate, whose limits tell how far to scan
 
+    @property
+    def _fast(self) -> str:
+        return "damping" if self.slow == "stiffness" else "stiffness"
+
     def __repr__(self) -> str:
-        fast = "damping" if self.slow == "stiffness" else "stiffness"
-        return f"TwoRates: {self.slow} once in {self.parts.every} samples, {fast} at each"
+        return f"TwoRates: {self.slow} once in {self.parts.every} samples, {self._fast} at each"
 
     def verdict(self, stiffness: float, damping: float) -> Verdict:
         """Whether a wall is stable, K in N/m and B in N s/m: proved, or UNDECIDED.
@@ -100,7 +105,7 @@ class TwoRates:
             "stiffness": checked_number("stiffness", stiffness),
             "damping": checked_number("damping", damping),
         }
-        fast = gains["damping" if self.slow == "stiffness" else "stiffness"]
+        fast = gains[self._fast]
 
         def triple() -> Triple:
             base, by_slow = self.parts.pencil(self.slow, fast)
@@ -125,8 +130,7 @@ class TwoRates:
             >>> [(low.told, round(high.value, 4)) for low, high in row.intervals]
             [(0.0, 8490.0242)]
         """
-        given = {"stiffness": stiffness, "damping": damping}
-        fast = "damping" if self.slow == "stiffness" else "stiffness"
+        given, fast = {"stiffness": stiffness, "damping": damping}, self._fast
         if given[fast] is None or given[self.slow] is not None:
             raise TypeError(f"intervals are those of the {self.slow}, which is slow; give {fast}.")
         return self._row(checked_number(fast, given[fast]))
@@ -157,11 +161,14 @@ class TwoRates:
         stable = np.flatnonzero(tops > -inf)
         if not stable.size:
             return RateLimits(nan, nan, nan, nan)
-        _, at_fast = _climbed(top, places, tops, int(np.argmax(tops)))
+        best = int(np.argmax(tops))
+        low, high = places[max(best - 1, 0)], places[min(best + 1, len(places) - 1)]
+        found = highest(top, float(low), float(high), _STEPS)
+        _, at_fast = max(found, (float(tops[best]), float(places[best])))
         last = _last(top, places, int(stable[-1]))
 
         def is_stable(slow: float, fast: float) -> bool:
-            return any(low.value < slow < high.value for low, high in self._row(fast).intervals)
+            return self._row(fast).holding(slow) is not None
 
         of_slow = of_fast = nan, nan
         for back in (1e-2, 1e-3, 1e-4, 1e-6, 0.0):  # the narrower a tip, the more digits
@@ -181,33 +188,10 @@ class TwoRates:
         return stable_pencil(partial(self.parts.pencil, self.slow, fast))
 
 
-def _climbed(
-    top: Callable[[float], float], places: Any, tops: Any, best: int
-) -> tuple[float, float]:
-    """The largest value by golden sections around the best place, and where it is."""
-    steps, share = 50, 0.6180339887498949
-    a, b = places[max(best - 1, 0)], places[min(best + 1, len(places) - 1)]
-    found = [(float(tops[best]), float(places[best]))]
-    x, y = b - share * (b - a), a + share * (b - a)
-    at_x, at_y = top(float(x)), top(float(y))
-    for _ in range(steps):
-        found += [(at_x, float(x)), (at_y, float(y))]
-        if at_x >= at_y:
-            b, y, at_y = y, x, at_x
-            x = b - share * (b - a)
-            at_x = top(float(x))
-        else:
-            a, x, at_x = x, y, at_y
-            y = a + share * (b - a)
-            at_y = top(float(y))
-    return max(found)
-
-
 def _last(top: Callable[[float], float], places: Any, stable: int) -> float:
     """The largest place with stable gains beside it, by halving beyond the last one that has."""
-    halvings = 50
     low, high = places[stable], places[min(stable + 1, len(places) - 1)]
-    for _ in range(halvings):
+    for _ in range(_STEPS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if top(float(middle)) > -inf else (low, middle)
     return float(low)
@@ -292,15 +276,11 @@ def two_rates(
     parts = FrameParts(replace(plain, delay=0.0), every, **rates)
     if slow != "both":
         return TwoRates(parts, slow, plain)
-    given: dict[str, Any] = {
-        "every": every,
-        "slow_delay": slow_delay,
-        "ramp": ramp,
-        "velocity": velocity,
-    }
+    made = partial(
+        two_rates, loop=plain, every=every, slow_delay=slow_delay, ramp=ramp, velocity=velocity
+    )
     words = f"a wall computed once in {every} samples"
-    period = every * float(plain.sample_time)
-    return Loop(parts, _GAINS, period, words, made=partial(two_rates, loop=plain, **given))
+    return Loop(parts, _GAINS, every * float(plain.sample_time), words, made=made)
 
 
 def _samples(name: str, delay: float, loop: HapticLoop) -> int:

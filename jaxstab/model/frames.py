@@ -19,7 +19,14 @@ from math import ceil
 from typing import TYPE_CHECKING, Any
 
 from jaxstab.model.affine import AffineParts
-from jaxstab.model.balls import Factored, LoopFactors, Triple, known_out, plant_in_balls
+from jaxstab.model.balls import (
+    Factored,
+    LoopFactors,
+    SampledDevice,
+    Triple,
+    known_out,
+    plant_in_balls,
+)
 from jaxstab.model.device.parts import flint
 from jaxstab.model.filters import NO_FILTERS, given_filters
 
@@ -56,44 +63,33 @@ class FrameParts(AffineParts):
 
     def triple(self) -> Triple:
         """The parts of p(z) of a frame, where both gains are slow."""
+        frame = _Frame(self)
         base, by_stiffness, by_damping = (
-            self.polynomial_of(*pair) for pair in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
+            frame.polynomial(*pair) for pair in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
         )
         return Triple(
-            _known(base, self.rigid),
+            _known(base, frame.rigid),
             Factored(by_stiffness - base),
-            _known(by_damping - base, min(self.rigid, 1)),
+            _known(by_damping - base, min(frame.rigid, 1)),
         )
 
     def pencil(self, slow: str, fast: float) -> tuple[Factored, Factored]:
         """p(z) = p0 + g q by the slow gain g, the fast one given."""
+        frame = _Frame(self)
         if slow == "stiffness":
-            p0, p1 = (self.polynomial_of(gain, fast) for gain in (0.0, 1.0))
-            return _known(p0, min(self.rigid, 1) if fast else self.rigid), Factored(p1 - p0)
-        p0, p1 = (self.polynomial_of(fast, gain) for gain in (0.0, 1.0))
-        at_one = 0 if fast else self.rigid
+            p0, p1 = (frame.polynomial(gain, fast) for gain in (0.0, 1.0))
+            return _known(p0, min(frame.rigid, 1) if fast else frame.rigid), Factored(p1 - p0)
+        p0, p1 = (frame.polynomial(fast, gain) for gain in (0.0, 1.0))
+        at_one = 0 if fast else frame.rigid
         return _known(p0, at_one), _known(p1 - p0, min(at_one, 1))
 
-    @property
-    def rigid(self) -> int:
-        """The number of roots at 1 of the device alone."""
-        return self._plant.denominator.at_one
-
-    @property
-    def _plant(self) -> Any:
-        return plant_in_balls(self.loop.held_device, float(self.loop.sample_time), 0.0)
-
-    def polynomial_of(self, stiffness: float, damping: float) -> "arb_poly":
-        """p(z) of a frame: the characteristic polynomial of its matrix, in balls."""
-        return flint.arb_poly(flint.arb_mat(_Frame(self).rows(stiffness, damping)).charpoly())
-
-    def filter_of(self, name: str) -> "tuple[list[arb], list[arb]]":
+    def filter_of(self, name: str, plant: SampledDevice) -> "tuple[list[arb], list[arb]]":
         """Numerator and denominator of the filter of a branch, the highest power of z first."""
         branch: ForcePath = getattr(self, name)
         is_slow = branch.is_slow and not branch.is_fast_inside
         period = float(self.loop.sample_time) * (self.every if is_slow else 1)
         filters = given_filters(self.loop.velocity, self.loop.position) or NO_FILTERS
-        own = LoopFactors.from_plant(self._plant, period, filters)
+        own = LoopFactors.from_plant(plant, period, filters)
         return _equation(*(own.position if name == "stiffness" else own.velocity))
 
 
@@ -115,11 +111,12 @@ class _Frame:
     """Linear forms in the state at a frame's beginning, by the names of states."""
 
     def __init__(self, parts: FrameParts) -> None:
-        self.parts = parts
-        plant = parts._plant
+        self.parts, period = parts, float(parts.loop.sample_time)
+        plant = plant_in_balls(parts.loop.held_device, period, 0.0)
+        self.rigid = plant.denominator.at_one  # roots at 1 of the device alone
         below = plant.denominator._replace(power=plant.denominator.power + plant.lag)
         self.device = _equation(plant.numerator, below)
-        self.filters = {name: parts.filter_of(name) for name in ("stiffness", "damping")}
+        self.filters = {name: parts.filter_of(name, plant) for name in ("stiffness", "damping")}
         self.names = [f"{kind}{k}" for kind in "xu" for k in range(1, len(self.device[0]))]
         for name, (numerator, _) in self.filters.items():
             orders = range(1, len(numerator))
@@ -132,6 +129,10 @@ class _Frame:
         if not branch.is_slow:
             return branch.late
         return ceil(branch.late / self.parts.every) + branch.is_ramp
+
+    def polynomial(self, stiffness: float, damping: float) -> "arb_poly":
+        """The characteristic polynomial of the matrix."""
+        return flint.arb_poly(flint.arb_mat(self.rows(stiffness, damping)).charpoly())
 
     def rows(self, stiffness: float, damping: float) -> "list[list[arb]]":
         """The matrix of one frame."""

@@ -5,10 +5,11 @@ A passive wall may be touched by any passive hand, whatever the mass and stiffne
 formula with a fractional delay errs to either side.
 """
 
-from functools import partial
-
-from jaxstab.exact.passive import Wall, difference
+from jaxstab.exact.passive import Wall
 from jaxstab.model import checked_delay, checked_delta
+from jaxstab.model.balls import Factored, LoopFactors, SampledDevice
+from jaxstab.model.device.parts import flint
+from jaxstab.model.filters import NO_FILTERS
 from jaxstab.numbers import checked_number, require_together
 from jaxstab.region.passive import PassiveRegion, passive_region_of
 
@@ -40,5 +41,10 @@ def passive_region(
     delta = checked_number("delta", checked_delta(delta))
     delay = checked_number("delay", checked_delay(delay))
     tolerance = checked_number("tolerance", tolerance, 1e-8)
-    wall = Wall(partial(difference, 1.0), delay, 1.0, delta)
-    return passive_region_of(wall, tolerance)
+    return passive_region_of(Wall(_difference, delay, 1.0, delta), tolerance)
+
+
+def _difference() -> LoopFactors:
+    """The factors of the wall alone: the position, and its difference over one sample."""
+    one = Factored(flint.arb_poly([1]))
+    return LoopFactors.from_plant(SampledDevice(one, one, 0), 1.0, NO_FILTERS)

@@ -35,7 +35,7 @@ from jaxstab.app.scene.answers import basis_of
 from jaxstab.app.scene.check import check_walls
 from jaxstab.app.scene.contact import simulated_map, walls_around
 from jaxstab.app.scene.gains import GainScene
-from jaxstab.app.scene.limits import StableGains, passive_walls
+from jaxstab.app.scene.limits import StableGains
 from jaxstab.app.scene.scene import Encoder, Scene
 from jaxstab.app.scene.tune import stiffness_over
 from jaxstab.conventions import Verdict
@@ -403,8 +403,8 @@ def _common(scene: Scene) -> _Area:
 
 
 def _passive(scene: Scene, loop: HapticLoop) -> _Area:
-    # The theorem is of one mass and one difference.
-    outline = passive_walls(loop) if loops.is_plain(loop) else np.zeros((0, 2))
+    # Of other estimators than the difference over one sample it would be hardly more than a dot.
+    outline = loop.passive_region().outline if loops.is_plain(loop) else np.zeros((0, 2))
     largest = _LARGEST.words(np.max(outline[:, 0], initial=0.0), scene.units)
     label = plain(f"passive: up to {largest}")
     return outline, {"facecolor": GREEN, "edgecolor": GREEN, "alpha": 0.6, "label": label}

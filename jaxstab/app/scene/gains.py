@@ -36,12 +36,18 @@ from jaxstab.app.scene.limits import (
     usable_rows,
 )
 from jaxstab.app.scene.loops import device_of, hands_of, loop_of
-from jaxstab.app.scene.scene import DeviceTable, HandTable, MarginTable, PositionTable, Scene
+from jaxstab.app.scene.scene import (
+    DeviceTable,
+    HandTable,
+    MarginTable,
+    PositionTable,
+    Scene,
+    margins_of,
+)
 from jaxstab.app.scene.tune import largest_value
 from jaxstab.conventions import Verdict
 from jaxstab.exact import LineStatus, stable_line
 from jaxstab.loop import Loop
-from jaxstab.loop.wanted import WantedMargins
 from jaxstab.model.affine import affine_triple
 from jaxstab.model.gain import Gain
 from jaxstab.numbers import without_noise
@@ -276,8 +282,7 @@ class GainScene:
     @property
     def margins(self) -> dict[str, Any]:
         """The margins that are wanted, as ``is_usable`` takes them."""
-        wanted = {name: self.wanted[name] for name in WantedMargins._fields}
-        return {name: value for name, value in wanted.items() if value is not None}
+        return margins_of(self.wanted)
 
     def unusual(self) -> list[str]:
         """Describe values that look like a slip of the unit."""
@@ -332,7 +337,8 @@ def gain_limits(scene: GainScene) -> GainAnswer:
                 "of gains are proved; give one environment, or [gains.NAME]."
             )
         values[f"at_given_{own.name}"] = stable.at(own, at)
-    if is_any and (usable := stable.usable(scene.margins)):
+    if is_any and scene.margins:
+        usable = stable.usable(scene.margins)
         values["usable"] = usable.largest()
         for own in gains:
             at = scene.wanted[f"at_{own.name}"]
@@ -462,13 +468,13 @@ def design_gains(scene: GainScene) -> GainAnswer:
         other = scene.from_table(
             t.with_value(scene.tables, f"{place}.{name}", value, [place, name])
         )
-        return other.stable.usable(scene.margins) or other.stable
+        return other.stable.usable(scene.margins)
 
     start = section[period]
     at(period, 0.7317 * start)  # refuses a window in s, which goes with few sample times
     unit = start if late == "delay" else 1.0
     is_whole = not scene.held  # steps, or samples
-    stable = scene.stable.usable(scene.margins) or scene.stable
+    stable = scene.stable.usable(scene.margins)
     now = stable.limit(own, *stable.found(own))
     values = {own.name: goal, "now": replace(now, is_stable=True)}
     values[period] = largest_value(

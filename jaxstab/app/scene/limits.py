@@ -12,8 +12,6 @@ from itertools import product
 from math import inf, isfinite, isnan, nan
 from typing import Any
 
-import numpy as np
-
 from jaxstab import paper
 from jaxstab.answers import (
     BUT_FOR_DRIFT,
@@ -132,11 +130,9 @@ class StableGains:
             return at
         return other_gain(self.loop, self.loop.gains.index(own), value, at)
 
-    def usable(self, margins: Mapping[str, Any]) -> "StableGains | None":
-        """The gains with margins, of which limits are what a search finds; None without any."""
-        if not margins:
-            return None
-        if self.safety != 1.0:
+    def usable(self, margins: Mapping[str, Any]) -> "StableGains":
+        """The gains with margins, if there are any: limits of these are what a search finds."""
+        if margins and self.safety != 1.0:
             raise ValueError(
                 f"wanted.safety is {self.safety:g} beside {' and '.join(margins)}; give one of "
                 "them: each keeps a distance."
@@ -326,7 +322,7 @@ def scene_limits(scene: Scene, *, islands: bool = False) -> GainAnswer:
         StableGains(loop, wanted.safety or 1.0, are_walls=True),
     )
     limits, (of_k, of_b) = region.limits(), loop.gains
-    usable = stable.usable(wanted.margins)
+    usable = stable.usable(wanted.margins) if wanted.margins else None
     is_any_stable = isfinite(limits.stiffness)  # with K >= 0 and B >= 0
     has_rules, is_reached = loops.is_plain(loop), limits.is_reachable or region.is_empty
     isolated = {"reached": "isolated: not connected to zero gains"}
@@ -434,14 +430,6 @@ def _linear_rule(stable: StableGains, limits: Limits[float]) -> GainAnswer:
     if exact > 0.0:
         words += f", here {stiffness / exact:.2g} times the exact limit"
     return loops.stiffest_wall(Gains(stiffness, limits.at_damping), linear_rule_is=words)
-
-
-def passive_walls(loop: HapticLoop) -> loops.Floats:
-    """The outline (K, B) of the passive walls; empty where none is known."""
-    try:
-        return loop.passive_region().outline
-    except ValueError:
-        return np.zeros((0, 2))
 
 
 def _passive(loop: HapticLoop, safety: float) -> GainAnswer | None:

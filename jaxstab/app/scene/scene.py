@@ -521,8 +521,13 @@ class MarginTable(t.Table):
     @property
     def margins(self) -> dict[str, Any]:
         """Those that are wanted, as ``is_usable`` takes them."""
-        names = [entry.name for entry in fields(MarginTable)]
-        return {name: value for name in names if (value := getattr(self, name)) is not None}
+        return margins_of(vars(self))
+
+
+def margins_of(wanted: Mapping[str, Any]) -> dict[str, Any]:
+    """The margins among what is wanted, as ``is_usable`` takes them."""
+    values = {entry.name: wanted[entry.name] for entry in fields(MarginTable)}
+    return {name: value for name, value in values.items() if value is not None}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -275,7 +275,7 @@ def design_loop(scene: Scene) -> GainAnswer:
             first, *others = (loop_at(scene, value, corner) for corner in corners)
             if hands is None:
                 stable = StableGains(first, safety, are_walls=True)
-                return stable.usable(scene.wanted.margins) or stable
+                return stable.usable(scene.wanted.margins)
             return _WallsForAll(first, safety, (*others,), are_walls=True, ranges=ranges)
 
         def limit(corner: HapticLoop, value: float) -> float:
@@ -294,8 +294,7 @@ def design_loop(scene: Scene) -> GainAnswer:
                 break
         return answer
 
-    stable = StableGains(loop, safety, are_walls=True)
-    stable = stable.usable(scene.wanted.margins) or stable
+    stable = StableGains(loop, safety, are_walls=True).usable(scene.wanted.margins)
     now: Any = loops.limit_for_all(scene, safety) or stable.limit(of_k, *stable.found(of_k))
     return GainAnswer(
         {
