@@ -12,6 +12,7 @@ from calls import COMPUTING_CALLS, OBJECTS
 
 import jaxstab
 from jaxstab.arrays import leaves
+from jaxstab.loop.margins import Margins
 
 WORD = {True: "yes", False: "no"}
 REFUSALS = (TypeError, ValueError, NotImplementedError, jax.errors.JAXTypeError)
@@ -88,8 +89,14 @@ def _moved(value: Any, step: float) -> Any:
 
 def _answers(name: str, answer: Any, array: Callable[[Any], Any] = np.asarray) -> list[Any]:
     """The numbers of an answer: of regions not the vertices, which move across the boundary."""
-    kept = list(leaves(answer))[name == "regions_of" :]
-    return list(map(array, kept))
+    return list(map(array, _numbers(answer)[name == "regions_of" :]))
+
+
+def _numbers(answer: Any) -> list[Any]:
+    """The leaves but for names and units of gains, and the factors that no traced wall has."""
+    if isinstance(answer, Margins):
+        answer = answer._replace(both_factors=None)
+    return [leaf for leaf in leaves(answer) if not isinstance(leaf, str)]
 
 
 def _real(numbers: list[Any]) -> list[Any]:
@@ -116,7 +123,8 @@ def _of_one_argument(
         every = keywords | {traced: argument}
         named = {key: every[key] for key in options}
         answer = function(*(every[index] for index in range(len(given))), **named)
-        return [leaf for leaf in leaves(answer) if isinstance(leaf, jax.Array)] or answer
+        numbers = _numbers(answer)
+        return numbers if any(isinstance(leaf, jax.Array) for leaf in numbers) else answer
 
     return what, of_one, value if is_of_loops else jnp.asarray(value)
 
@@ -127,7 +135,8 @@ def _stacked(value: Any) -> Any:
 
 def _summed(function: Callable[[Any], Any]) -> Callable[[Any], Any]:
     def total(argument: Any) -> Any:
-        floats = [leaf for leaf in leaves(function(argument)) if leaf.dtype.kind == "f"]
+        numbers = map(jnp.asarray, _numbers(function(argument)))
+        floats = [leaf for leaf in numbers if leaf.dtype.kind == "f"]
         if not floats:
             raise TypeError("no real number depends on it")
         return sum(leaf.sum() for leaf in floats)

@@ -161,7 +161,10 @@ class Limits(NamedTuple, Generic[Number]):
             names = " and ".join(f"{own.symbol or own.name} >= 0" for own in self.names)
             is_negative = self.status == RegionStatus.COMPLETE
             return words + is_negative * f"; no gains with {names} are stable"
-        points = self[:2], (self.at_first, self.second)
+        limits: Any = self[:4]
+        numbers = (x if isinstance(x, float) else float(x) for x in limits)  # of JAX, too
+        first, at_second, second, at_first = numbers
+        points = (first, at_second), (at_first, second)
         islands = [island[:2] for island in self.islands]
         is_reachable = bool(self.is_reachable)
         return limits_text(words, self.names, points, islands, is_reachable=is_reachable)

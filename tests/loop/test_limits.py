@@ -397,6 +397,11 @@ def test_a_traced_slice_is_sent_to_regions_of() -> None:
     )
 
 
+def test_limits_that_jax_computed_are_printed_as_others_are() -> None:
+    limits = HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3).limits()
+    assert repr(jax.tree.map(jnp.asarray, limits)) == repr(limits)
+
+
 def test_long_delays_are_answered_or_refused() -> None:
     region = stable_region(gamma=1e-3, delta=0.015, delay=100.0)
     assert region.status == RegionStatus.COMPLETE
