@@ -7,6 +7,7 @@ import signal
 import stat
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -246,12 +247,17 @@ def test_what_takes_long_is_shown_on_a_terminal(
     command: list[str], words: str, answer: str
 ) -> None:
     reader, terminal = os.openpty()
-    with os.fdopen(reader, "rb") as shown:
-        process = [sys.executable, "-c", START, *command]
-        done = subprocess.run(process, stderr=terminal, stdout=subprocess.PIPE, text=True)
-        os.close(terminal)
-        assert words in os.read(shown.fileno(), 10**4).decode(errors="replace")
-    assert answer in done.stdout
+    process = [sys.executable, "-c", START, *command]
+    started = subprocess.Popen(process, stderr=terminal, stdout=subprocess.PIPE, text=True)
+    os.close(terminal)
+    shown = b""
+    with suppress(OSError):  # nobody writes any more
+        while chunk := os.read(reader, 10**4):  # or a full terminal would keep the command waiting
+            shown += chunk
+    os.close(reader)
+    answered, _ = started.communicate()
+    assert words in shown.decode(errors="replace")
+    assert answer in answered
 
 
 MEMORY = """
