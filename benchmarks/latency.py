@@ -96,7 +96,7 @@ def _questions() -> list[Question]:
     slice_ = f"gamma={GAMMA}, delta={DELTA}, delay={float(DELAY)}"
     five = f"{ALPHA}, {BETA}, {slice_}"
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    snippet = re.findall(r"```python\n(.*?)```", readme, flags=re.DOTALL)[0]
+    snippet = re.findall(r"```python\n(.*?)\nimport jax ", readme, flags=re.DOTALL)[0]
     golden = ROOT / "data" / "golden" / "atlas-v5.h5"
     return [
         Question("atlas, one verdict", 0.5, ("-c",

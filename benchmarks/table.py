@@ -1,6 +1,6 @@
 """The table of benchmarks: a line for each task and method, with its run time and its error.
 
-docs/accuracy.md has all of it below the table of rivals, of which README has some lines.
+docs/accuracy.md has all of it below the table of rivals; README has three sizes of an atlas.
 """
 
 from collections import Counter
@@ -33,15 +33,6 @@ _POLYNOMIALS = ("degree 10", "degree 10, clustered", "degree 40", "degree 40, cl
 
 DAMPINGS = 0.4, 1.0, 2.0  # of walls with delays that move, times that of the largest stiffness
 
-# What the tools of README's table need; fields of a row of that tool fill the braces.
-_NEEDS = {
-    "jaxstab": "the device's numbers, {lines} lines; proved; starts in {first}",
-    "numpy.roots, bisection": "p(z), formed by you, {lines} lines; starts in {first}",
-    "python-control margins": "p(z), {lines} lines; overlooks crossings at z = -1",
-    "grid of 160 x 160, contourpy": "p(z), {lines} lines; draws the whole boundary",
-    "MuJoCo, bisection": "a model, {lines} lines; simulators only; can add contact and friction",
-}
-
 Line = tuple[str, str, str, str, str]
 
 
@@ -55,21 +46,14 @@ def markdown(records: list[Record]) -> str:
     return f"{caption}\n\n{of_cells(_HEADING, lines)}"
 
 
-def rivals(records: list[Record], *, brief: bool = False) -> str:
-    """The times of tools for a loop, and their errors; the brief table is README's."""
+def rivals(records: list[Record]) -> str:
+    """The times of tools for a loop, and their errors."""
     found = of_one_machine(records)["rivals"]["rows"]
     groups = list(_grouped(found, "section"))
     tools = {
         name: {row["section"]: row for row in some}
         for name, some in _grouped(found, "method").items()
     }
-    if brief:
-        lines = []
-        for name, words in _NEEDS.items():
-            own = list(tools[name].values())
-            first = _time(own[0]["first_seconds"])
-            lines.append((name, *_end(own), words.format(**own[0], first=first)))
-        return of_cells(("tool", "CPU time per loop", "largest error", "what it needs"), lines)
     rows = []
     for name, of in tools.items():
         ends = (", ".join(_end([of[group]])) if group in of else "" for group in groups)
@@ -103,10 +87,10 @@ def of_one_machine(records: list[Record]) -> dict[str, Record]:
 def put_into_pages(records: list[Record]) -> None:
     """Replace what is between the markers in the README and in docs/accuracy.md."""
     devices = [one for one in records if one["benchmark"] == "accelerator"]
-    of_readme = {"rivals": rivals(records, brief=True)}
-    if any(one["benchmark"] == "resolution" for one in records):
-        of_readme["resolutions"] = resolutions(records)
     of_page = {"rivals": rivals(records), "benchmarks": markdown(records)}
+    if any(one["benchmark"] == "resolution" for one in records):
+        of_page["resolutions"] = resolutions(records)
+        put_between(README, "table of {}: {}", {"sizes": sizes(records)})
     if any(one["benchmark"] == "loops" for one in records):
         of_page["unresolved"] = unresolved(records)
     if devices:
@@ -115,7 +99,6 @@ def put_into_pages(records: list[Record]) -> None:
         of_page["delays"] = moving_delays(records)
     if any(one["benchmark"] == "mapper" for one in records):
         put_between(MAP, "table of {}: {}", {"maps": maps(records)})
-    put_between(README, "table of {}: {}", of_readme)
     put_between(PAGE, "table of {}: {}", of_page)
 
 
@@ -253,16 +236,32 @@ def _answers(rows: list[Row]) -> Iterator[Line]:
 
 def resolutions(records: list[Record]) -> str:
     """Nodes along the axes against error, share computed, size and time, about the default."""
-    (one,) = (record for record in records if record["benchmark"] == "resolution")
     head = "nodes", "size", "build", *(f"{name}: error, computed" for name in _WAYS)
     lines = []
-    for section, rows in list(_grouped(one["rows"], "section").items())[1:4]:
-        some = {row["method"]: row for row in rows}
+    for section, some in _about_the_default(records):
         first = some[_WAYS[0]]
         ways = (f"{some[name]['error']:.1e}, {some[name]['computed']:.2%}" for name in _WAYS)
         cells = section, _bytes(first["bytes"]), f"{_time(first['build_seconds'])} of CPU", *ways
         lines.append(cells)
     return of_cells(head, lines)
+
+
+def sizes(records: list[Record]) -> str:
+    """What an atlas costs, and how wrong its limits are between nodes."""
+    head = "nodes of an atlas", "file", "CPU to build", "largest error of a limit", "points left to compute"
+    lines = []
+    for section, some in _about_the_default(records):
+        own = some["cubic"]
+        costs = _bytes(own["bytes"]), _time(own["build_seconds"])
+        lines.append((section, *costs, f"{own['error']:.1e}", f"{own['computed']:.2%}"))
+    return of_cells(head, lines)
+
+
+def _about_the_default(records: list[Record]) -> Iterator[tuple[str, dict[str, Row]]]:
+    """The nodes of three tables, the default among them, and the rows of each interpolation."""
+    (one,) = (record for record in records if record["benchmark"] == "resolution")
+    for section, rows in list(_grouped(one["rows"], "section").items())[1:4]:
+        yield section, {row["method"]: row for row in rows}
 
 
 def _loops(rows: list[Row]) -> Iterator[Line]:

@@ -1,4 +1,4 @@
-"""Draw pictures of five pages, such as docs/frequency.md: python data/pictures/pages.py."""
+"""Draw pictures of README and of five pages, such as docs/frequency.md: python data/pictures/pages.py."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -30,6 +30,40 @@ def frequency(loop: jaxstab.HapticLoop) -> None:
     loop.plot("nyquist", 1000.0, 12.0, ax=plane)
     loop.plot("bode", 1000.0, 12.0, ax=magnitudes)
     figure.savefig(DOCS / "frequency.png", dpi=110)
+
+
+def window(loop: jaxstab.HapticLoop) -> None:
+    """README's picture: stable walls with the velocity over one sample and over the window."""
+    figure, ax = pyplot.subplots(figsize=(8, 3.8), layout="constrained")
+    inset = ax.inset_axes([0.6, 0.44, 0.39, 0.5])
+    inset.set_title("20 ms, enlarged", fontsize=9)
+    inset.tick_params(labelsize=8)
+    found = {}
+    for name, own, colors in (
+        ("one sample", replace(loop, velocity=jaxstab.Velocity()), ("#cfe6f5", "#8fc3e4")),
+        ("20 ms", loop, ("#f6dcc2", "#dd9d63")),
+    ):
+        edge, inside = own.limits(), own.limits(phase_margin=30)
+        damping = np.linspace(0.0, edge.damping, 400)
+        stiffness = own.stiffness_limits(damping)[:, 1]
+        rows = inside.second * np.linspace(0.0, 1.0, 81)[:-1]
+        ends = [own.intervals(damping=row, phase_margin=30).inner for row in rows.tolist()]
+        widest = [max((high for _, high in row), default=0.0) for row in ends]
+        found[name] = edge.stiffness
+        for axes in (ax, inset) if own is loop else (ax,):
+            label = f"velocity over {name}: stable up to {int(edge.stiffness):,} N/m"
+            axes.fill_betweenx(damping, 0.0, stiffness, color=colors[0], label=label)
+            label = f"with 30 degrees of phase margin up to {int(inside.first):,} N/m"
+            axes.fill_betweenx(rows, 0.0, widest, color=colors[1], label=label)
+    share = found["20 ms"] / found["one sample"]
+    ax.set_title(f"A velocity window of 20 ms leaves {share:.0%} of the stiffness", loc="left")
+    ax.indicate_inset([0, 0, 2300, 55], inset, edgecolor=GREY)
+    inset.set(xlim=(0, 2300), ylim=(0, 55))
+    ax.set(xlim=(0, 66e3), ylim=(0, 330), xlabel="stiffness K (N/m)", ylabel="damping B (N s/m)")
+    ax.set_xticks(range(0, 40_001, 10_000))
+    ax.spines[["top", "right"]].set_visible(False)
+    figure.legend(loc="outside lower center", ncols=2, fontsize=9, frameon=False)
+    figure.savefig(DOCS / "window.png", dpi=120)
 
 
 def usable(loop: jaxstab.HapticLoop) -> None:
@@ -128,6 +162,7 @@ if __name__ == "__main__":
     )
     quickstart(omega)
     frequency(omega)
+    window(omega)
     usable(omega)
     which(omega)
     joints(Scene.from_file(ROOT / "data" / "scenes" / "joint.toml"))
