@@ -38,6 +38,7 @@ class UsableLimits(NamedTuple):
         second, at_first: the same of the second gain.
         wanted: the margins in words.
         names: those of the gains, and their units.
+        attained: where no gains have them, the margins in words that some have.
 
     Example:
         >>> limits = jaxstab.simulated_pd(0.1, step=2e-3, substeps=4).limits(sensitivity=1.5)
@@ -55,6 +56,7 @@ class UsableLimits(NamedTuple):
     at_first: float
     wanted: str
     names: tuple[Gain, Gain]
+    attained: str = ""
 
     def __getattr__(self, name: str) -> float:
         """The largest value of a gain, or the gain at that of the other one, by its name."""
@@ -63,9 +65,15 @@ class UsableLimits(NamedTuple):
         value: float = by_gain(self, name, dict(zip(values, self[:4], strict=True)))
         return value
 
+    @property
+    def none_in_words(self) -> str:
+        """That no gains have the margins, and which ones some have."""
+        some = f"; some have {self.attained}" if self.attained else ""
+        return f"no gains with {self.wanted} were found{some}"
+
     def __repr__(self) -> str:
         if not isfinite(self.first) and not isfinite(self.second):
-            return f"UsableLimits: no gains with {self.wanted} were found"
+            return f"UsableLimits: {self.none_in_words}"
         lines = [f"UsableLimits: {self.wanted}"]
         one, two = self.names
         of_each = (one, self.first, two, self.at_second), (two, self.second, one, self.at_first)
@@ -183,6 +191,7 @@ def _pair(start: tuple[float, float], along: tuple[float, float], t: float) -> t
 
 # -------------------------------------------------------------------------------------- the largest
 _ROWS = 9  # on a scale of numbers, and fewer on one of logarithms
+_MANY = 65  # where these find nothing
 _PEAKS = 2  # that are searched
 
 
@@ -195,7 +204,22 @@ def usable_limits(loop: Any, wanted: WantedMargins) -> UsableLimits:
     first, second = (_Tops(loop, axis, main, wanted) for axis in (0, 1))
     found = first.largest()
     places = [found[0] * 10.0**-k for k in range(3)] if isfinite(found[0]) else []
-    return UsableLimits(*found, *second.largest(places), wanted.words, loop.gains)
+    limits = UsableLimits(*found, *second.largest(places), wanted.words, loop.gains)
+    if isfinite(limits.first) or isfinite(limits.second):
+        return limits
+    return limits._replace(attained=_attained(loop, main, wanted))
+
+
+def _attained(loop: Any, main: Any, wanted: WantedMargins) -> str:
+    """Nearly the largest share of some margins that gains have, in words; "" if none is found."""
+    low, high, best = 0.0, 1.0, ""
+    while high - low > 1.0 / 64.0:
+        eased = wanted.eased(0.5 * (low + high))
+        if isfinite(_Tops(loop, 0, main, eased).largest()[0]):
+            low, best = 0.5 * (low + high), eased.words
+        else:
+            high = 0.5 * (low + high)
+    return best
 
 
 class _Tops:
@@ -242,8 +266,10 @@ class _Tops:
         most = self.most
         tried = np.r_[np.geomspace(1e-3 * most, 0.1 * most, 4), np.linspace(0.0, most, _ROWS)]
         tried = np.r_[places, tried]
-        for self.is_sure in (False, True):  # E5 is asked in every row where the scan misses angles
-            value, at = _best(self, np.unique(tried).tolist())
+        many = np.linspace(0.0, most, _MANY)  # a small set may lie between the rows
+        # E5 is asked in every row where the scan misses angles.
+        for self.is_sure, rows in ((False, tried), (True, tried), (False, many)):
+            value, at = _best(self, np.unique(rows).tolist())
             for back in (0.0, 1e-9, 1e-8, 1e-7) if isfinite(value) else ():
                 pair = value * (1.0 - back), at
                 if self._is_usable(*pair):

@@ -57,6 +57,16 @@ class WantedMargins(NamedTuple):
             nextafter(delay, inf) if delay else 0.0,
         )
 
+    def eased(self, share: float) -> "WantedMargins":
+        """The same share of each margin, from 0, no margin at all, to 1; of two digits or so."""
+        phase, gain, peak, delay = self
+        return WantedMargins(
+            phase and float(f"{phase * share:.2g}"),
+            gain and (float(f"{gain[0] ** share:.3g}"), float(f"{gain[1] ** share:.3g}")),
+            peak and float(f"{1.0 + (peak - 1.0) / share:.3g}"),
+            delay and float(f"{delay * share:.2g}"),
+        )
+
     @property
     def texts(self) -> dict[str, str]:
         """Each wish in words, by the name of its keyword."""

@@ -291,6 +291,16 @@ def test_no_usable_wall_of_random_loops_settles_sooner_than_the_tuned_one(
         assert settles_sooner(loop, wanted, best.settling_time) == []
 
 
+def test_where_no_gains_have_the_margins_the_answer_says_which_ones_some_have() -> None:
+    """With 1e5 N/(m s) in a PID, a small set has 66 degrees, and a grid finds 66.5 at most."""
+    loop = jaxstab.pid(HapticLoop(**OMEGA), ki=1e5)
+    kp, kd = loop.limits(phase_margin=66)[:2]
+    assert loop.is_usable(kp=kp, kd=kd, phase_margin=66)
+    none = loop.limits(phase_margin=80)
+    assert np.isnan([none.first, none.second]).all()
+    assert none.none_in_words.endswith("some have a phase margin of 66 degrees")
+
+
 @pytest.mark.parametrize(
     ("wanted", "words"),
     [

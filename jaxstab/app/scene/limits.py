@@ -116,6 +116,8 @@ class StableGains:
             is_limit=self.safety == 1.0,
         )
         pair, words = (nan, nan), None if isnan(value) else "no pair is proved"
+        if isnan(value) and self.margins:
+            words = self._usable.none_in_words
         if found and found[0].text == ABOVE_0:
             pair, words = (found[0], nan), "0 itself is not stable"
         elif found:

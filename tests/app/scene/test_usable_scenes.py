@@ -176,3 +176,9 @@ def test_margins_that_have_no_answer_are_refused(
 
 def test_gains_of_a_loop_are_tuned_without_margins() -> None:
     assert "are tuned without margins" in said("tune", SIMULATOR, "--phase-margin", "30", code=2)
+
+
+def test_limits_say_which_margins_some_gains_have() -> None:
+    text = said("limits", str(SCENES / "gains" / "pid.toml"), "--phase-margin", "80", code=1)
+    assert "largest usable kp   no gains with a phase margin of 80 degrees were found" in text
+    assert "some have a phase margin of 66 degrees" in text
