@@ -20,7 +20,8 @@ The weights are suggested by a linear program in float64: the largest least valu
 Re(M p2/p1)/|p2/p1| over some angles, to which those are added where the rest of them is lower.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from flint import arb, arb_poly
@@ -28,20 +29,30 @@ from jaxtyping import Float64
 
 from jaxstab.exact.circle import is_positive
 from jaxstab.exact.floats import FloatValues
-from jaxstab.exact.roots import are_inside
+from jaxstab.exact.roots import TripleAt, are_inside
 from jaxstab.model.balls import Factored
 from jaxstab.model.device.parts import FIRST_BITS, decided, working_precision
 
 Taps = tuple[tuple[int, float], ...]
 """The k and h_k of a multiplier."""
 
-Sides = Callable[[], tuple[Factored, Factored]]
-"""Gives p1 and p2 in balls of the precision that is set."""
-
 _ORDERS = 1, 8  # the largest |k|: most walls need k = 1 and -1 alone
 
 
-def multiplier(walls: Sequence[Sides]) -> Taps | None:
+class Wall(NamedTuple):
+    """Two gains without the force, and those of the linear wall."""
+
+    triple: TripleAt
+    without: tuple[float, float]
+    linear: tuple[float, float]
+
+    def sides(self) -> tuple[Factored, Factored]:
+        """p1 and p2 in balls of the precision that is set."""
+        triple = self.triple()
+        return triple.at(*self.without), triple.at(*self.linear)
+
+
+def multiplier(walls: Sequence[Wall]) -> Taps | None:
     """One multiplier that proves all of some walls; None if none is found."""
     for order in _ORDERS:
         taps = _suggested(walls, [k for k in range(-order, order + 1) if k])
@@ -50,14 +61,14 @@ def multiplier(walls: Sequence[Sides]) -> Taps | None:
     return None
 
 
-def proves(taps: Taps, wall: Sides) -> bool:
+def proves(taps: Taps, wall: Wall) -> bool:
     """True if a multiplier proves a wall."""
     weights = [arb(h) for _, h in taps]
     if not all(k and h >= 0.0 for k, h in taps) or not sum(weights, arb(0)) < 1:
         return False
 
     def answer() -> bool | None:
-        p1, p2 = wall()
+        p1, p2 = wall.sides()
         if p1.degree != p2.degree or not (p1.leading - p2.leading).contains(0):
             return False  # the force depends on itself without a sample between
         is_stable = are_inside(p1)
@@ -82,7 +93,7 @@ def _cosines(taps: Taps, p1: Factored, p2: Factored) -> list[arb]:
 # What follows suggests.
 
 
-def _suggested(walls: Sequence[Sides], lags: list[int]) -> Taps | None:
+def _suggested(walls: Sequence[Wall], lags: list[int]) -> Taps | None:
     from scipy.optimize import linprog  # it takes longer to import than a proof
 
     most, rounds, first, more = 0.9999999, 8, 400, 100  # of the sum; of exchanges; of angles
@@ -112,14 +123,18 @@ def _suggested(walls: Sequence[Sides], lags: list[int]) -> Taps | None:
     return tuple((k, float(h)) for k, h in zip(lags, weights, strict=True) if h > 1e-9)
 
 
-def _phases(wall: Sides) -> tuple[Float64[np.ndarray, " angle"], np.ndarray]:
+def _phases(wall: Wall) -> tuple[Float64[np.ndarray, " angle"], np.ndarray]:
     """Angles in (0, pi], some of them next to roots, and p2/p1 there over its modulus."""
     with working_precision(FIRST_BITS):
-        sides = [FloatValues(p) for p in wall()]
+        parts, sides = ([FloatValues(p) for p in own] for own in (wall.triple(), wall.sides()))
     found = [np.geomspace(1e-7, 0.1, 3000), np.linspace(0.1, np.pi, 6000)]
     found += [own for side in sides for own in side.angles()]
     angles = np.unique(np.concatenate(found))
     angles = angles[(angles > 0.0) & (angles <= np.pi)]
-    below, above = (side(angles) for side in sides)
+    base, by_first, by_second = (part(angles) for part in parts)  # of few powers, each
+    below, above = (
+        base + first * by_first + second * by_second
+        for first, second in (wall.without, wall.linear)
+    )
     ratio = above / below
     return angles, ratio / np.abs(ratio)

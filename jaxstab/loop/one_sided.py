@@ -10,9 +10,8 @@ from collections.abc import Callable
 from math import inf, isfinite, nan
 from typing import Any, NamedTuple
 
-from jaxstab.exact.sector import Sides, Taps, multiplier
+from jaxstab.exact.sector import Taps, Wall, multiplier
 from jaxstab.loop.gains import by_gain
-from jaxstab.model.balls import Factored
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.model.gain import Gain
 from jaxstab.numbers import checked_number, checked_word
@@ -155,7 +154,7 @@ class _Walls:
                 'form="spring".'
             )
         with working_precision(FIRST_BITS):
-            without, _ = self._sides(0.0, second)()
+            without, _ = self._wall(0.0, second).sides()
         if without.is_on_circle:
             raise ValueError(
                 "without the force a root of p(z) stays on the unit circle: nothing holds the "
@@ -163,16 +162,13 @@ class _Walls:
                 "spring holds, however soft: give the hand a stiffness, such as 1e-6 N/m."
             )
 
-    def _sides(self, first: float, second: float) -> Sides:
-        def both() -> tuple[Factored, Factored]:
-            triple = self.loop._triple()
-            return triple.at(0.0, second if self.is_spring else 0.0), triple.at(first, second)
-
-        return both
+    def _wall(self, first: float, second: float) -> Wall:
+        without = 0.0, second if self.is_spring else 0.0
+        return Wall(self.loop._triple, without, (first, second))
 
     def alone(self, first: float, second: float) -> Proof:
         """The proof of one pair of gains."""
-        taps = multiplier([self._sides(first, second)])
+        taps = multiplier([self._wall(first, second)])
         return None if taps is None else (taps,)
 
     def fan(self, first: float, second: float) -> Proof:
@@ -182,7 +178,7 @@ class _Walls:
             return None
         while parts:
             low, high = parts.pop()
-            taps = multiplier([self._sides(low, second), self._sides(high, second)])
+            taps = multiplier([self._wall(low, second), self._wall(high, second)])
             if taps is not None:
                 found.append(taps)
             elif high - low < 2.0 * _NARROWEST * first:

@@ -1,6 +1,7 @@
 """Forces that only push, clip or harden (C7): worked numbers, attacks in time on what is proved."""
 
 from collections.abc import Iterator
+from functools import partial
 from math import exp, pi
 from typing import Any, NamedTuple
 
@@ -9,14 +10,14 @@ import pytest
 from campaign import many
 
 from jaxstab import Device, Hand, HapticLoop, Mode, Velocity
-from jaxstab.exact.sector import Sides, Taps, multiplier, proves
+from jaxstab.exact.sector import Taps, Wall, multiplier, proves
 from jaxstab.model.balls import ball_triple
 from tests.truth.one_sided import Body, Forces, Sampled, T, attacked, run
 
 
-def sides(loop: HapticLoop, stiffness: float, damping: float) -> Sides:
+def wall_of(loop: HapticLoop, stiffness: float, damping: float) -> Wall:
     """No force and the linear wall, both gains behind the function."""
-    return lambda: (ball_triple(loop).at(0.0, 0.0), ball_triple(loop).at(stiffness, damping))
+    return Wall(partial(ball_triple, loop), (0.0, 0.0), (stiffness, damping))
 
 
 def held(delay: float, velocity: Velocity) -> HapticLoop:
@@ -73,15 +74,15 @@ def test_a_given_multiplier_proves_up_to_its_limit_and_not_beyond(
 ) -> None:
     for taps, limit in zip(FIXED, limits, strict=True):
         for share, is_proved in ((1.0 - 1e-9, True), (1.0 + 1e-9, False)):
-            wall = sides(loop, share * limit, share * limit * ratio)
+            wall = wall_of(loop, share * limit, share * limit * ratio)
             assert proves(taps, wall) == is_proved
-    assert multiplier([sides(loop, 1.0001 * linear, 1.0001 * linear * ratio)]) is None
-    found = multiplier([sides(loop, 0.998 * linear, 0.998 * linear * ratio)])
+    assert multiplier([wall_of(loop, 1.0001 * linear, 1.0001 * linear * ratio)]) is None
+    found = multiplier([wall_of(loop, 0.998 * linear, 0.998 * linear * ratio)])
     assert (found is not None) == (loop.delay > 0.0)  # without a delay the gap is real or unknown
 
 
 def test_weights_that_are_none_prove_nothing() -> None:
-    wall = sides(held(1.0, Velocity.difference(1)), 1.0, 0.0)
+    wall = wall_of(held(1.0, Velocity.difference(1)), 1.0, 0.0)
     assert proves((), wall)
     for taps in (((1, -0.1),), ((0, 0.1),), ((1, 0.5), (-1, 0.5))):
         assert not proves(taps, wall)
@@ -92,7 +93,7 @@ def test_a_loop_that_is_unstable_without_the_force_is_not_proved() -> None:
         device=Device.transfer_function([1.0], [1.0, 0.5, -20.0]), sample_time=T, delay=T
     )
     assert pushed.verdict(200.0, 3.0)
-    assert multiplier([sides(pushed, 200.0, 3.0)]) is None
+    assert multiplier([wall_of(pushed, 200.0, 3.0)]) is None
 
 
 # --------------------------------------------------------------- stable for every slope, and swings

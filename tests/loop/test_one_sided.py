@@ -96,6 +96,13 @@ def test_the_softest_spring_will_do() -> None:
     assert min(shares) > 0.995
 
 
+def test_a_window_of_200_samples_is_proved_to_its_limit() -> None:
+    loop = held(velocity=Velocity.difference(200))
+    line = loop._line((0.0, 0.0), (1.0, 8e-3)).holding(0.0)
+    assert line is not None
+    assert loop.one_sided_limit(ratio=8e-3).stiffness > 0.5 * line.high.value
+
+
 # ----------------------------------------------------------------------------------- kinds of loops
 def bodies(*stiffnesses: float) -> list[Device]:
     return [
