@@ -248,7 +248,8 @@ def resolutions(records: list[Record]) -> str:
 
 def sizes(records: list[Record]) -> str:
     """What an atlas costs, and how wrong its limits are between nodes."""
-    head = "nodes of an atlas", "file", "CPU to build", "largest error of a limit", "points left to compute"
+    left = "points left to compute"
+    head = "nodes of an atlas", "file", "CPU to build", "largest error of a limit", left
     lines = []
     for section, some in _about_the_default(records):
         own = some["cubic"]

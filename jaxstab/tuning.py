@@ -264,6 +264,7 @@ class TuningStatus(Status):
     ANY_COMPONENT = 6, "found by a search, perhaps in an island: the region is not resolved"
     NOT_CALM = 7, "no gains were found that keep encoder chatter within the limit"
     ENDLESS = 8, "there are no best gains: ever larger ones decay ever faster"
+    NOT_USABLE = 9, "no gains were found that have the margins asked for"
 
 
 class OptimalGains(NamedTuple):

@@ -1,4 +1,4 @@
-"""Draw pictures of README and of five pages, such as docs/frequency.md: python data/pictures/pages.py."""
+"""Draw pictures of README and of pages such as docs/frequency.md: python data/pictures/pages.py."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -331,11 +331,14 @@ class RowScan:
         return _Forms(np.abs(d) ** 2, [*mixed.real], imaginary, above)
 
     @np.errstate(all="ignore")
-    def missed(self, t: float) -> dict[str, float]:
-        """The margins that one t surely misses, each with an angle; there may be others."""
+    def missed(self, t: float, share: float = 1.0) -> dict[str, float]:
+        """The margins that one t surely misses, each with an angle; there may be others.
+
+        With a ``share`` they are those of that share of W0.
+        """
         (d, w0, w1), found, limits = self.values, dict[str, float](), self.wish.limits
-        w = w0 + t * w1
-        at_ends = [(own[1] + t * own[2]) / own[0] if own[0] else nan for own in self.ends]
+        w = share * w0 + t * w1
+        at_ends = [(share * own[1] + t * own[2]) / own[0] if own[0] else nan for own in self.ends]
         if "sensitivity" in limits:
             distance = np.r_[np.abs(1.0 + w / d), np.abs(1.0 + np.array(at_ends))]
             k = int(np.nanargmin(distance))

@@ -288,10 +288,14 @@ class Answers(TwoGains):
         return one_sided_limit(self, form, ratio, gain)
 
     def _usable_limits(self, margins: Mapping[str, Any]) -> UsableLimits:
+        return usable_limits(self, self._wanted("limits", margins))
+
+    def _wanted(self, function: str, margins: Mapping[str, Any]) -> WantedMargins:
+        """The margins that a function is given."""
         if unknown := [name for name in margins if name not in WantedMargins._fields]:
             names = ", ".join(WantedMargins._fields)
-            raise TypeError(f"limits takes no {unknown[0]}; give {names}.")
-        return usable_limits(self, WantedMargins.checked(**margins))
+            raise TypeError(f"{function} takes no {unknown[0]}; give {names}.")
+        return WantedMargins.checked(**margins)
 
     def plot(
         self,

@@ -353,6 +353,7 @@ class HapticLoop(LoopParameters, Answers):
         excitation: Excitation = "force",
         encoder: float | None = None,
         chatter: float | None = None,
+        **margins: Any,
     ) -> Tuned:
         """The wall (K, B) that comes to rest fastest, or the best B for a given K.
 
@@ -378,6 +379,9 @@ class HapticLoop(LoopParameters, Answers):
             chatter: the limit on the motion that the encoder may cause, in m. Where the best wall
                 exceeds it, the best wall on grids of walls that are proved to stay within this
                 limit is returned.
+            **margins: phase_margin, gain_margin, sensitivity and delay_margin, as for
+                ``is_usable``. Where the best wall lacks them, it is the best one on grids of walls
+                that have them, proved.
 
         Returns:
             Tuned: stiffness in N/m, damping in N s/m, spectral radius per sample with its
@@ -392,8 +396,12 @@ class HapticLoop(LoopParameters, Answers):
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
             >>> print(f"settles in {1e3 * loop.tune().settling_time:.0f} ms")
             settles in 6 ms
+            >>> best = loop.tune(phase_margin=60)
+            >>> best.status.name, loop.is_usable(best.stiffness, best.damping, phase_margin=60)
+            ('SCANNED', True)
         """
-        return optimal_wall(self, goal, stiffness, level, excitation, encoder, chatter)
+        wanted = self._wanted("tune", margins)
+        return optimal_wall(self, goal, stiffness, level, excitation, encoder, chatter, wanted)
 
     def worst_hand(
         self,

@@ -7,7 +7,7 @@ deviation can be brought within the level. At the smallest n, the gains with the
 are taken: they are unique, and lie inside the set of all gains that settle as fast.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from math import isfinite
 from typing import Any, Literal, NamedTuple
@@ -18,6 +18,8 @@ from jaxtyping import Float64
 from jaxstab.arrays import Numbers
 from jaxstab.conventions import Excitation
 from jaxstab.loop.region import TOLERANCE, Tuned, region_of_loop
+from jaxstab.loop.usable import LikelyUsable, usable_limits
+from jaxstab.loop.wanted import WantedMargins
 from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.filters import Filter, Velocity, as_keywords, behind_measured, given_filters
 from jaxstab.model.loop import LoopParameters, unit_loop
@@ -229,16 +231,31 @@ def wall_axes(
     return np.array([stiffness]), np.linspace(low[1], high[1], 25**2)
 
 
-def fastest_calm_wall(
-    loop: Any, objective: Values, chatter: Values, limit: float, alpha: float | None
-) -> tuple[tuple[float, float], TuningStatus]:
-    """The gains of the least objective found whose chatter is within a limit, and a status."""
+class _Bounds(NamedTuple):
+    """What a wall shall keep: a limit on its chatter, and margins, which few walls may have.
+
+    ``most`` are the largest gains with the margins, (alpha, beta).
+    """
+
+    chatter: Values
+    limit: float
+    are_usable: Callable[[Any, Any], Any] | None = None
+    most: tuple[float, float] = (np.inf, np.inf)
+
+
+def fastest_wall_within(
+    loop: Any, objective: Values, bounds: _Bounds, alpha: float | None
+) -> tuple[float, float]:
+    """The gains of the least objective found that keep the bounds; NaN if there are none."""
     region = region_of_loop(loop.in_floats(), TOLERANCE).region.reachable
     if not len(region.points):
-        return (np.nan, np.nan), TuningStatus.NO_STABLE_GAINS
+        return np.nan, np.nan
+    chatter, limit, are_usable, most = bounds
 
     def values(alphas: np.ndarray, betas: np.ndarray) -> np.ndarray:
         values, inside = np.full(alphas.size, np.inf), np.asarray(region.contains(alphas, betas))
+        if are_usable:
+            inside[inside] = are_usable(alphas[inside], betas[inside])
         likely = np.full(alphas.size, np.inf)
         likely[inside] = np.nan_to_num(objective(alphas[inside], betas[inside]), nan=np.inf)
         for value in np.unique(likely[np.isfinite(likely)]):  # the fastest walls first
@@ -252,8 +269,39 @@ def fastest_calm_wall(
                 break
         return values
 
-    wall, _ = minimised(values, wall_axes(region.points, alpha), zooms=3, lowest=0.0)
-    return wall, TuningStatus.NOT_CALM if np.isnan(wall[0]) else TuningStatus.SCANNED
+    axes = wall_axes(np.minimum(region.points, most), alpha)
+    wall, _ = minimised(values, axes, zooms=3 if np.isinf(most[0]) else 6, lowest=0.0)
+    return wall
+
+
+def _at_rest(alphas: np.ndarray, _: np.ndarray) -> np.ndarray:
+    return np.zeros(alphas.size)
+
+
+def _fastest_usable_wall(
+    loop: Any,
+    usable: LikelyUsable,
+    objectives: Sequence[Values],
+    bounds: _Bounds,
+    alpha: float | None,
+) -> tuple[float, float]:
+    """The gains of the least objective found that keep the bounds, and the margins, proved."""
+    largest, rounds = usable_limits(loop, usable.wanted), 8
+
+    def are_usable(alphas: np.ndarray, betas: np.ndarray) -> np.ndarray:
+        return usable(loop.stiffness(alphas), loop.damping(betas))
+
+    bounds = bounds._replace(
+        are_usable=are_usable, most=(loop.alpha(largest.first), loop.beta(largest.second))
+    )
+    for objective in objectives if np.isfinite(largest.first) else ():
+        for _ in range(rounds):
+            wall = fastest_wall_within(loop, objective, bounds, alpha)
+            if np.isnan(wall[0]):
+                break
+            if usable.confirms(loop.stiffness(wall[0]), loop.damping(wall[1])):
+                return wall
+    return np.nan, np.nan
 
 
 def optimal_wall(
@@ -264,6 +312,7 @@ def optimal_wall(
     excitation: Excitation,
     encoder: float | None,
     chatter: float | None,
+    wanted: WantedMargins,
 ) -> Tuned:
     """Return the wall that comes to rest fastest: ``HapticLoop.tune``."""
     slower = 64  # than the fastest wall: how slow calm walls are looked for at first
@@ -295,9 +344,11 @@ def optimal_wall(
         settled = shortest_settling(tuned, best, alpha, level, excitation)
         wall = float(settled.alpha), float(settled.beta)
         status = TuningStatus(int(settled.status))
-    is_asked = step > 0.0 and status != TuningStatus.NO_STABLE_GAINS
-    reached = float(moved(*wall)) if is_asked else np.nan
-    if is_asked and not reached <= limit:
+    has_walls = status != TuningStatus.NO_STABLE_GAINS
+    reached = float(moved(*wall)) if step > 0.0 and has_walls else np.nan
+    usable = LikelyUsable(loop, wanted) if wanted.texts and has_walls else None
+    is_good = not usable or usable.confirms(*in_si_units(*wall))
+    if has_walls and not (is_good and (np.isnan(reached) or reached <= limit)):
         options: dict[str, Any] = {"level": level, "excitation": excitation}
         fastest = float(tuned.settling(*wall, **options).value)
 
@@ -308,11 +359,16 @@ def optimal_wall(
         def proved(*walls: np.ndarray) -> np.ndarray:
             return np.asarray(tuned.settling(*walls, **options).value)
 
-        for objective in (tuned.walls.radii,) if goal == "radius" else (likely, proved):
-            wall, status = fastest_calm_wall(loop, objective, moved, limit, alpha)
-            if status != TuningStatus.NOT_CALM:
-                break
-        reached = float(moved(*wall)) if np.isfinite(wall[0]) else np.nan
+        objectives = (tuned.walls.radii,) if goal == "radius" else (likely, proved)
+        bounds = _Bounds(moved if step > 0.0 else _at_rest, limit)
+        if usable:
+            wall = _fastest_usable_wall(loop, usable, objectives, bounds, alpha)
+        else:
+            walls = (fastest_wall_within(loop, own, bounds, alpha) for own in objectives)
+            wall = next((own for own in walls if np.isfinite(own[0])), (np.nan, np.nan))
+        missed = TuningStatus.NOT_USABLE if usable else TuningStatus.NOT_CALM
+        status = TuningStatus.SCANNED if np.isfinite(wall[0]) else missed
+        reached = float(moved(*wall)) if step > 0.0 and np.isfinite(wall[0]) else np.nan
     if np.isnan(wall[0]):
         return Tuned(np.nan, np.nan, np.nan, np.inf, status, np.inf)
     gains = loop.stiffness(wall[0]) if given is None else given, loop.damping(wall[1])

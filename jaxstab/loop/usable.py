@@ -16,7 +16,7 @@ import numpy as np
 from jaxstab.conventions import Verdict
 from jaxstab.exact.line import LineStatus, StableLine
 from jaxstab.exact.margins import Reading
-from jaxstab.exact.usable import Judgement, Row, RowSearch, judged
+from jaxstab.exact.usable import Judgement, Row, RowScan, RowSearch, Wish, judged
 from jaxstab.loop.gains import by_gain
 from jaxstab.loop.margins import delay_reading
 from jaxstab.loop.wanted import WantedMargins
@@ -97,6 +97,34 @@ def missed_margins(loop: Any, pair: tuple[float, float], wanted: WantedMargins) 
     return [wanted.texts[name] for name in dict.fromkeys(missed)]
 
 
+class LikelyUsable:
+    """Which stable walls seem usable, in float64: a scan over angles that learns where it erred."""
+
+    def __init__(self, loop: Any, wanted: WantedMargins) -> None:
+        self.loop, self.wanted = loop, wanted
+        wish, more = wanted.wish(loop.sample_time), 1.0 + 1e-6  # a little to spare
+        low, high = wish.gain
+        spare = Wish(
+            wish.phase * more,
+            wish.gain if high == 1.0 else (low / more, high * more),
+            1.0 + (wish.sensitivity - 1.0) / more,
+            wish.delay * more,
+        )
+        self._scan = RowScan(_row(loop, (1.0, 0.0), (0.0, 1.0)), spare)
+
+    def __call__(self, stiffness: np.ndarray, damping: np.ndarray) -> np.ndarray:
+        """True where no margin is missed at an angle of the scan."""
+        pairs = zip(damping.tolist(), stiffness.tolist(), strict=True)
+        return np.array([not self._scan.missed(*pair) for pair in pairs], bool)
+
+    def confirms(self, stiffness: float, damping: float) -> bool:
+        """True if a wall is proved usable; else the scan learns the angles of what it misses."""
+        found = judgement(self.loop, (stiffness, damping), self.wanted)
+        for angle in found.angles.values():
+            self._scan.learn(angle)
+        return bool(found.is_usable)
+
+
 def usable_line(
     loop: Any, start: tuple[float, float], along: tuple[float, float], wanted: WantedMargins
 ) -> StableLine:
@@ -129,6 +157,16 @@ def _search(
             "for one pair."
         )
 
+    def delay(t: float) -> Reading:
+        return delay_reading(loop._held, *_pair(start, along, t))
+
+    row, wish = _row(loop, start, along), wanted.wish(loop.sample_time)
+    return RowSearch(row, wish, delay if loop._held else None, angles)
+
+
+def _row(loop: Any, start: tuple[float, float], along: tuple[float, float]) -> Callable[[], Row]:
+    """The open loops of the gains start + t along, in the precision that is set."""
+
     @remembered()
     def row() -> Row:
         (below, given), (_, first), (_, step) = (
@@ -136,11 +174,7 @@ def _search(
         )
         return Row(below, first, step if given.is_zero else step.plus(given.scaled(-1)))
 
-    def delay(t: float) -> Reading:
-        return delay_reading(loop._held, *_pair(start, along, t))
-
-    wish = wanted.wish(loop.sample_time)
-    return RowSearch(row, wish, delay if loop._held else None, angles)
+    return row
 
 
 def _pair(start: tuple[float, float], along: tuple[float, float], t: float) -> tuple[float, float]:

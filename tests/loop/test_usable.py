@@ -243,6 +243,54 @@ def test_every_kind_of_loop_has_limits_with_margins() -> None:
 
 
 # ----------------------------------------------------------------------------------------- refusals
+def settles_sooner(loop: HapticLoop, wanted: dict[str, Any], seconds: float) -> list[Any]:
+    """Walls of a grid that have the margins and settle more than a sample sooner than that."""
+    most = loop.limits(**wanted)
+    shares = np.linspace(0.0, 1.0, 21)[1:]
+    gains = np.meshgrid(most.first * shares, most.second * shares)
+    times = loop.settling_time(*gains).value
+    sooner = np.argwhere(times < seconds - loop.sample_time)
+    walls = [tuple(float(gain[tuple(place)]) for gain in gains) for place in sooner]
+    return [wall for wall in walls if loop.is_usable(*wall, **wanted)]
+
+
+def test_the_fastest_usable_wall_has_the_margins_and_no_wall_of_a_grid_settles_sooner() -> None:
+    best = HapticLoop(**OMEGA).tune(phase_margin=45)
+    assert HapticLoop(**OMEGA).is_usable(best.stiffness, best.damping, phase_margin=45)
+    assert settles_sooner(HapticLoop(**OMEGA), {"phase_margin": 45}, best.settling_time) == []
+    free = HapticLoop(**OMEGA).tune()
+    assert HapticLoop(**OMEGA).tune(phase_margin=28) == free  # it has 28.996
+    lacking = WINDOW.tune(stiffness=100.0, phase_margin=60)
+    assert lacking.status.name == "NOT_USABLE"
+    assert np.isnan(lacking.stiffness)
+
+
+@pytest.mark.campaign
+def test_no_usable_wall_of_random_loops_settles_sooner_than_the_tuned_one(
+    rng: np.random.Generator,
+) -> None:
+    best = HapticLoop(**OMEGA).tune(delay_margin=5e-3)
+    assert HapticLoop(**OMEGA).is_usable(best.stiffness, best.damping, delay_margin=5e-3)
+    assert settles_sooner(HapticLoop(**OMEGA), {"delay_margin": 5e-3}, best.settling_time) == []
+    estimators = Velocity(), Velocity.difference(samples=5), Velocity.low_pass(60.0)
+    for _ in range(many(200, small=8)):
+        period = float(rng.choice([5e-4, 1e-3, 2e-3]))
+        loop = HapticLoop(
+            device_mass=float(10.0 ** rng.uniform(-1.3, 0.5)),
+            device_damping=float(10.0 ** rng.uniform(-2.0, 1.0)),
+            hand_stiffness=float(rng.choice([0.0, 300.0])),
+            sample_time=period,
+            delay=float(rng.choice([0.0, 1.0, 1.5])) * period,
+            velocity=estimators[rng.integers(3)],
+        )
+        wanted, _ = wishes(rng)
+        best = loop.tune(**wanted)
+        if best.status.name == "NOT_USABLE":
+            continue
+        assert loop.is_usable(best.stiffness, best.damping, **wanted)
+        assert settles_sooner(loop, wanted, best.settling_time) == []
+
+
 @pytest.mark.parametrize(
     ("wanted", "words"),
     [

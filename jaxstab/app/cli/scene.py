@@ -434,7 +434,7 @@ def contact(output: Path | None, count: int | None, frictions: str | None, **giv
     return 0
 
 
-@scene_command("at_stiffness", "mass_tolerance", "delay_tolerance")
+@scene_command("at_stiffness", "mass_tolerance", "delay_tolerance", *MARGINS)
 @scene_options
 def tune(**given: Any) -> int:
     """Find the walls that come to rest fastest, and the best damping for each wall.

@@ -433,6 +433,11 @@ def _stated(scene: GainScene) -> dict[str, Any]:
 
 def tune_gains(scene: GainScene) -> GainAnswer:
     """The gains of the smallest spectral radius, and what is stable around them."""
+    if scene.margins:
+        raise ValueError(
+            f"{' and '.join(scene.margins)} in [wanted], and the gains of [loop] are tuned without "
+            "margins; ask limits, or leave them out."
+        )
     best = scene.loop.tune()
     values = _stated(scene) | {"status": best.status}
     if isfinite(best.radius):

@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from math import floor, inf, isnan, nan, sqrt
+from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -35,6 +36,7 @@ from jaxstab.app.scene.scene import Scene, presets
 from jaxstab.conventions import Status, Verdict
 from jaxstab.loop import Gains, HapticLoop, StableValues, tune_for_all
 from jaxstab.loop.backwards import range_of
+from jaxstab.loop.wanted import margins_in_words
 from jaxstab.loop.worst_settling import settling_times
 from jaxstab.model.filters import dividing_periods, sections_of
 from jaxstab.model.gain import Gain
@@ -94,9 +96,19 @@ def tune_over_ranges(scene: Scene, fastest: Gains | None) -> GainAnswer | None:
     )
 
 
-def _rounded(own: list[HapticLoop], wall: Gains) -> Gains:
-    """A wall that is stable in each of some loops in few digits, with which it is printed."""
-    is_stable = partial(_is_stable, own)
+def _rounded(
+    own: list[HapticLoop], wall: Gains, margins: Mapping[str, Any] = MappingProxyType({})
+) -> Gains:
+    """A wall that is stable in each of some loops in few digits, with which it is printed.
+
+    It has the margins in these digits, too.
+    """
+
+    def is_stable(*wall: float) -> bool:
+        if margins:
+            return all(bool(loop.is_usable(*wall, **margins)) for loop in own)
+        return all(loop.verdict(*wall) == Verdict.STABLE for loop in own)
+
     nearest = Gains(*(float(rounded_text(gain, Quantity.digits)) for gain in wall))
     if is_stable(*nearest):
         return nearest
@@ -104,11 +116,6 @@ def _rounded(own: list[HapticLoop], wall: Gains) -> Gains:
     if isinstance(k, Printed) and isinstance(b, Printed):
         return Gains(float(k.text), float(b.text))
     return Gains(k, b)
-
-
-def _is_stable(own: list[HapticLoop], stiffness: float, damping: float) -> bool:
-    """True if a wall is proved stable in each of some loops."""
-    return all(loop.verdict(stiffness, damping) == Verdict.STABLE for loop in own)
 
 
 def _between(ranges: list[tuple[float, float]]) -> list[list[float]]:
@@ -141,18 +148,22 @@ def tune_walls(scene: Scene) -> GainAnswer:
 
     Of a range of delays they are those of the longest one, as a constant delay.
     """
+    if margins := scene.wanted.margins:
+        scene.controller.require_one_delay(f"a search for {' and '.join(margins)}")
+        _require_one_hand(scene)
     best = partial(_best, scene, loops.loop_of(scene.at_longest_delay))
     given, fastest = scene.wanted.at_stiffness, best("settling")
     gains = Gains(fastest.rounded.stiffness, fastest.rounded.damping) if fastest.rounded else None
     return GainAnswer(
         {
             "inputs": basis_of(scene, at_longest=True),
+            "margins_wanted": margins_in_words(margins) if margins else None,
             "least_radius": best("radius"),
             "least_settling": fastest,
             "walls": {name: best("settling", wall.stiffness) for name, wall in scene.walls.items()},
             "at_given_stiffness": None if given is None else best("settling", given),
             "hand": loops.at_lowest(scene),
-            "over_ranges": tune_over_ranges(scene, gains),
+            "over_ranges": None if margins else tune_over_ranges(scene, gains),
         },
         columns=(
             "least_settling.stiffness",
@@ -172,11 +183,13 @@ def _best(
     chatter = scene.wanted.chatter
     limit = None if chatter is None else chatter * (1.0 - 1e-4)  # for gains are rounded
     encoder = None if scene.device.encoder is None else scene.device.encoder.resolution
-    best = loop.tune(goal, stiffness=stiffness, encoder=encoder, chatter=limit)
-    if best.status in (TuningStatus.NO_STABLE_GAINS, TuningStatus.NOT_CALM):
+    margins = scene.wanted.margins
+    best = loop.tune(goal, stiffness=stiffness, encoder=encoder, chatter=limit, **margins)
+    lacking = TuningStatus.NO_STABLE_GAINS, TuningStatus.NOT_CALM, TuningStatus.NOT_USABLE
+    if best.status in lacking:
         return BestWall({"rounded": None, "status": best.status}, is_stable=False)
     gains = Gains(best.stiffness, best.damping)
-    rounded = _rounded([loop], gains)
+    rounded = _rounded([loop], gains, margins)
     over_hands, over_delays = loops.hands_of(scene) is not None, not scene.controller.has_one_delay
     worst = loops.worst_on(scene, [rounded])[0][0] if over_hands or over_delays else None
     verdicts = {
@@ -242,6 +255,15 @@ class _WallsForAll(StableGains):
         return at if isnan(low) else 0.5 * (max(low, 0.0) + min(high, 3.0 * max(low, 0.0) + 1.0))
 
 
+def _require_one_hand(scene: Scene) -> None:
+    """ValueError where margins are beside a range of hands."""
+    if loops.hands_of(scene):
+        raise ValueError(
+            f"{' and '.join(scene.wanted.margins)} in [wanted] are beside a range of hands, for "
+            "which walls are proved without margins; give one hand, or leave them out."
+        )
+
+
 def design_loop(scene: Scene) -> GainAnswer:
     """The sample time, and the delay, up to which the wanted stiffness is allowed for every hand.
 
@@ -259,11 +281,8 @@ def design_loop(scene: Scene) -> GainAnswer:
     loop, in_samples = loops.loop_of(scene), scene.controller.delay_samples
     period, of_k, safety = loop.sample_time, loop.gains[0], scene.wanted.safety or 1.0
     hands, corners = loops.hands_of(scene), loops.corner_loops(scene)
-    if hands and scene.wanted.margins:
-        raise ValueError(
-            f"{' and '.join(scene.wanted.margins)} in [wanted] are beside a range of hands, for "
-            "which walls are proved without margins; give one hand, or leave them out."
-        )
+    if scene.wanted.margins:
+        _require_one_hand(scene)
     ranges = {"hands": hands, "mass": loops.masses_of(scene)}
     shortest = max(period / 1024.0, loop.delay / most_samples if in_samples is None else 0.0)
     longest = min(1024.0 * period, _longest(loop))

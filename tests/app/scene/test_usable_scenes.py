@@ -100,6 +100,17 @@ def test_limits_and_designs_of_other_gains_have_margins_too() -> None:
 
 
 @pytest.mark.campaign
+def test_the_fastest_walls_are_those_with_the_margins_as_printed() -> None:
+    answer = asked("tune", *WALL, "--phase-margin", "45", "--at-stiffness", "500")
+    for own in (answer["least_settling"], answer["least_radius"], answer["at_given_stiffness"]):
+        for wall in (own, own["rounded"]):
+            assert LOOP.is_usable(wall["stiffness"], wall["damping"], phase_margin=45)
+    text = said("tune", *WALL, "--phase-margin", "45")
+    assert re.search(r"margins wanted +a phase margin of 45 degrees", text)
+    assert f"{answer['least_settling']['rounded']['stiffness']:g} N/m" in text
+
+
+@pytest.mark.campaign
 def test_a_sample_time_is_designed_for_a_usable_stiffness() -> None:
     answer = asked("design", *WALL, "--stiffness", "400", "--sensitivity", "2")
     delay = answer["delay"]
@@ -147,6 +158,8 @@ def test_a_picture_fills_the_usable_walls(tmp_path: Path) -> None:
             ["--phase-margin", "30", "--stiffness", "500", "--hand-mass", "0:0.2"],
             "beside a range of hands",
         ),
+        ("tune", ["--phase-margin", "30", "--hand-mass", "0:0.2"], "beside a range of hands"),
+        ("tune", ["--phase-margin", "30", "--delay", "0:0.001"], "a search for phase_margin"),
     ],
 )
 def test_margins_that_have_no_answer_are_refused(
@@ -159,3 +172,7 @@ def test_margins_that_have_no_answer_are_refused(
         given += ["--gains", "500", "5"]
     text = said(command, *given, code=2)
     assert sentence in " ".join(text.split())
+
+
+def test_gains_of_a_loop_are_tuned_without_margins() -> None:
+    assert "are tuned without margins" in said("tune", SIMULATOR, "--phase-margin", "30", code=2)
