@@ -15,6 +15,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cache
 from math import asin, ceil, degrees, erf, sqrt
 from pathlib import Path
@@ -191,6 +192,7 @@ def facts() -> dict[str, list[str]]:
             f"a phase margin of {degrees(2.0 * asin(0.25)):.0f} degrees",  # of |S| <= 2
             f"{_OMEGA['device_mass']} kg, {_OMEGA['device_damping']} N s/m, 1 kHz",
             "velocity over 20 ms",
+            _only_pushing(),
         ],
         "docs/transforms.md": [
             f"at least {_FEWEST[_DEGREES[0]]} loops ({_FEWEST[41]} above degree {_DEGREES[3]}, "
@@ -308,6 +310,13 @@ def _less_stiff(window: float, plain: int) -> str:
     loop = HapticLoop(**_OMEGA, velocity=Velocity.difference(window=window))
     assert loop.limits().stiffness < 0.1 * plain
     return f"a window of {1e3 * window:g} ms the omega-like device keeps less than a tenth of the"
+
+
+def _only_pushing() -> str:
+    held = replace(_ON_WINDOW, hand_stiffness=1e-6)
+    limits = held.limits()
+    proved = held.one_sided_limit(ratio=limits.at_damping / limits.stiffness)
+    return f"is proved up to {int(proved.stiffness):,} N/m"
 
 
 def _pulls() -> str:

@@ -23,6 +23,7 @@ from .loop import Limits as Limits
 from .loop import ManyRegions as ManyRegions
 from .loop import Margins as Margins
 from .loop import MovingLimits as MovingLimits
+from .loop import OneSided as OneSided
 from .loop import RateLimits as RateLimits
 from .loop import Region as Region
 from .loop import StableEnd as StableEnd

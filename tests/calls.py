@@ -1,8 +1,8 @@
 """One good call of each public function or method that computes, and what it answers as a text.
 
 A call is a list of arguments, with a dict of keywords at its end where there are some; "loop" is
-for a HapticLoop, "loops" for several, "hands" for a HandRange, "function" for one that is
-evaluated on a grid.
+for a HapticLoop, "held" for one with a hand's spring, "loops" for several, "hands" for a HandRange,
+"function" for one that is evaluated on a grid.
 """
 
 import re
@@ -69,6 +69,8 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "HapticLoop.is_usable": ["loop", 1000.0, 10.0, {"phase_margin": 30.0}],
     "HapticLoop.is_passive": ["loop", 10.0, 0.0],
     "HapticLoop.passive_region": ["loop"],
+    "HapticLoop.one_sided": ["held", 1000.0, 10.0],
+    "HapticLoop.one_sided_limit": ["held", {"damping": 10.0}],
     "HapticLoop.jitter_margin": ["loop", 1000.0, 10.0],
     "HapticLoop.worst_delays": ["loop", 1000.0, 10.0, {"delays": (0.0, 1e-3)}],
     "HapticLoop.settling_time": ["loop", 1000.0, 10.0],
@@ -100,6 +102,9 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
 
 OBJECTS: dict[str, Callable[[], Any]] = {
     "loop": lambda: jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3),
+    "held": lambda: jaxstab.HapticLoop(
+        device_mass=0.1, device_damping=1.5, hand_stiffness=100.0, sample_time=1e-3
+    ),
     "loops": lambda: [
         jaxstab.HapticLoop(device_mass=mass, device_damping=1.5, sample_time=1e-3)
         for mass in (0.1, 0.12)

@@ -47,6 +47,7 @@ WITH_FLINT = {  # loops, lines of walls and regions are in balls, filters in exa
     *("HapticLoop.boundary_distance", "HapticLoop.robust_limit", "HapticLoop.worst_hand"),
     *("contact", "HapticLoop.frequency_margins", "HapticLoop.is_usable", "HapticLoop.range_of"),
     *("HapticLoop.is_passive", "HapticLoop.passive_region"),
+    *("HapticLoop.one_sided", "HapticLoop.one_sided_limit"),
     "HapticLoop.boundary",
     *(
         "HapticLoop.simulate",

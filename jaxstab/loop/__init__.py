@@ -7,6 +7,7 @@
 | `intervals` | `exact.line` (E3) | loop by loop |
 | `region`, `limits` | `region.region`, beside proved `exact.line` | `region.batch`, one program |
 | `margins`, `frequency_margins` | `exact.margins` | loop by loop; derivatives: `loop.crossings` |
+| `one_sided` | `exact.sector` (C7) | loop by loop |
 | `settling_time`, `amplitude` | `exact.response` (E4) | loop by loop |
 | `simulate` | `motion.response` | the same, with arrays |
 | delays that move | `exact.margins` (J1), `exact.turns` (V10) | loop by loop |

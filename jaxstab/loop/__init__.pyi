@@ -16,6 +16,7 @@ from .margins import AtFrequency as AtFrequency
 from .margins import FrequencyMargins as FrequencyMargins
 from .margins import Margins as Margins
 from .margins import margins as margins
+from .one_sided import OneSided as OneSided
 from .rates import RateLimits as RateLimits
 from .rates import TwoRates as TwoRates
 from .rates import two_rates as two_rates

@@ -18,6 +18,7 @@ from jaxstab.drawing import draw_largest, draw_linear_rule, plot_open_loop, writ
 from jaxstab.exact import StableLine
 from jaxstab.loop.gains import TwoGains
 from jaxstab.loop.margins import FrequencyMargins, Margins, loop_margins, wall_frequency_margins
+from jaxstab.loop.one_sided import OneSided, one_sided, one_sided_limit
 from jaxstab.loop.region import TOLERANCE, Limits, Region
 from jaxstab.loop.usable import UsableLimits, judgement, usable_limits, usable_line
 from jaxstab.loop.wanted import WantedMargins
@@ -223,6 +224,68 @@ class Answers(TwoGains):
                 "or ask verdict."
             )
         return judgement(self, (first, second), wanted).is_usable
+
+    def one_sided(self, *wall: float, form: str = "force", **gains: float) -> OneSided:
+        """Whether gains are proved to rest where their force only pushes, is clipped or hardens.
+
+        The code computes the force -phi(y), y the linear one, such as max(0, y), max(0, y) that a
+        motor clips, or a dead zone: phi is the same at all times and rises by at most 1 per 1.
+        Proved, every start and every constant push of the hand end at the one place where forces
+        balance; friction, encoder steps, jitter and delays that move aside. A wall that acts where
+        the position is positive is none of these if it has a damper: gate by the force.
+
+        Args:
+            *wall: that wall, K in N/m and B in N s/m.
+            form: "force" for phi(K x + B v), "spring" for phi(K x) beside a damper that is always
+                on; so with the two gains of any loop.
+            **gains: both gains of the pair, by their names.
+
+        Returns:
+            A proof, or that there is none: which does not say that the loop swings.
+
+        Raises: as ``is_usable``; ValueError also where the device keeps a root on the circle
+        without the force, as one that no spring holds, where the gains move the leading coefficient
+        of p(z), and, with "force", where they have delays of their own.
+
+        Source: Zames and Falb (1968), SIAM J. Control 6(1); lemma C7 of docs/proofs.md.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(
+            ...     device_mass=0.25, device_damping=0.1, hand_stiffness=1.0, sample_time=1e-3,
+            ...     delay=1e-3, velocity=jaxstab.Velocity.difference(window=0.02),
+            ... )
+            >>> bool(loop.one_sided(1900.0, 12.0)), bool(loop.one_sided(2100.0, 12.0))
+            (True, False)
+        """
+        first, second = (checked_number(*gain) for gain in self._named(wall, gains).items())
+        return one_sided(self, (first, second), form)
+
+    def one_sided_limit(
+        self, *, form: str = "force", ratio: float | None = None, **gain: float
+    ) -> OneSided:
+        """The largest first gain, such as K, that is proved as by ``one_sided``, with all below.
+
+        It is searched up to the limit of the linear loop, and what is found is proved: along a ray
+        all shares of both gains, in a row every first gain from 0 to it beside the second one.
+
+        Args:
+            form: as for ``one_sided``.
+            ratio: the second gain over the first one, in s for a wall: a ray, with "force" alone.
+            **gain: the second gain, by its name: a row. 0 for a spring alone.
+
+        Raises: as ``one_sided``; TypeError unless one of ratio and the second gain is given.
+
+        Source: as of ``one_sided``.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(
+            ...     device_mass=0.25, device_damping=0.1, hand_stiffness=100.0, sample_time=1e-3,
+            ...     delay=1e-3, velocity=jaxstab.Velocity.difference(5),
+            ... )
+            >>> print(f"{loop.one_sided_limit(ratio=5e-3).stiffness:.1f}")
+            10911.5
+        """
+        return one_sided_limit(self, form, ratio, gain)
 
     def _usable_limits(self, margins: Mapping[str, Any]) -> UsableLimits:
         return usable_limits(self, self._wanted("limits", margins))

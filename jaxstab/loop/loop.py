@@ -69,7 +69,8 @@ class HapticLoop(LoopParameters, Answers):
     ``limits``, ``stiffness_limits``, ``damping_limits``, ``stiffness_intervals``,
     ``damping_intervals``, ``boundary``, ``boundary_distance``, ``tune``; about all hands of a
     range: ``worst_hand``, ``robust_limit``; about every hand: ``is_passive``, ``passive_region``;
-    and ``range_of``, ``to_control``. Numbers are in SI units.
+    about forces that only push: ``one_sided``, ``one_sided_limit``; and ``range_of``,
+    ``to_control``. Numbers are in SI units.
 
     Fields may be arrays that broadcast; the loop then stands for many loops. The methods from
     ``verdict`` to ``amplitude`` broadcast them with the walls, if the device is one mass and the

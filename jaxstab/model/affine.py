@@ -61,6 +61,11 @@ class AffineParts:
 
     pivot: ClassVar[int] = 0
 
+    @property
+    def is_one_force(self) -> bool:
+        """True if both gains act in one force, computed and held as one."""
+        return True
+
     def triple(self) -> Triple:
         """The parts of p(z), without a common power of z; from exact numbers where it has such."""
         parts = self.rational()
@@ -325,6 +330,11 @@ class PidParts(AffineParts):
     given: str
     value: float
     rule: str
+
+    @property
+    def is_one_force(self) -> bool:
+        """True if kd has the delay of the others."""
+        return self.given == "kd" or self.late == self.loop
 
     def triple(self) -> Triple:
         """The parts of p(z), by the two other gains in the order kp, ki, kd."""

@@ -279,10 +279,14 @@ Mechanism: TypeAlias = Any
 
 
 class Sides(NamedTuple):
-    """The sides on which a wall acts: where the position is positive alone, and if it may pull."""
+    """The sides on which a wall acts: where the position is positive alone, and if it may pull.
+
+    A wall that is gated by its force is -max(0, K x + B v), wherever the position is.
+    """
 
     one_sided: bool
     pulls: bool
+    by_force: bool = False
 
 
 def contacts(
@@ -404,7 +408,9 @@ def _wall(
         position = read(x)
         filtered, velocity, memory = controller.step(position, memory)
         force = -(runs.alpha * filtered + runs.beta * velocity)
-        if sides.one_sided:
+        if sides.by_force:
+            force = xp.minimum(force, 0.0)
+        elif sides.one_sided:
             pushed = force if sides.pulls else xp.minimum(force, 0.0)
             force = xp.where(position > 0.0, pushed, 0.0)
         force = xp.where(is_stepped, force_unit * xp.rint(force / force_unit), force)

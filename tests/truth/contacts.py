@@ -107,6 +107,7 @@ class Felt:
     push: float = 0.0
     one_sided: bool = True
     pulls: bool = False
+    gate: str = "position"
     device: Structure | None = None
 
 
@@ -142,7 +143,9 @@ def run(felt: Felt, start: tuple[float, float], samples: int) -> Run:
             is_clear = abs((x / felt.encoder + felt.phase) % 1.0 - 0.5) > CLOSE
         speed, filtered = (chain(read) for chain in chains)
         force = -(felt.wall[0] * filtered + felt.wall[1] * speed / felt.period)
-        if felt.one_sided:
+        if felt.gate == "force":
+            force = min(force, 0.0)
+        elif felt.one_sided:
             is_clear &= abs(read) > CLOSE * size
             force = 0.0 if read <= 0.0 else force if felt.pulls else min(force, 0.0)
         if felt.force_step:

@@ -166,6 +166,7 @@ def _notes(scene: Scene, title: str) -> list[str]:
         "controller.max_force": controller.max_force is not None,
         "controller.force_step": controller.force_step > 0.0,
         "contact.one_sided": given and not given.one_sided,
+        "contact.gate": given and given.gate != ContactTable.gate,
         "contact.duration": given and given.duration != ContactTable.duration,
     }
     names = ", ".join(name for name, is_given in ignored.items() if is_given)

@@ -632,6 +632,7 @@ def scene_contacts(scene: Scene) -> Figure:
     words += f"friction {force.words(scene.device.friction, units)}\n"
     assert scene.contact is not None  # else nothing is simulated
     words += "one-sided wall" if scene.contact.one_sided else "wall that also pulls"
+    words += ", gated by its force" if scene.contact.gate == "force" else ""
     figure = contact_figure(loop, walls, {words: contact}, gains, units)
     _write_basis(figure, scene, basis_of(scene, at_longest=True))
     return _named(figure, figure.axes[:1], gains)

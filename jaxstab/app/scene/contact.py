@@ -154,6 +154,7 @@ def _conditions(scene: Scene) -> dict[str, Any]:
         "force_step": controller.force_step,
         "max_force": controller.max_force,
         "one_sided": given.one_sided,
+        "gate": given.gate,
         "duration": given.duration,
         "push": push,
         "speed": speed,

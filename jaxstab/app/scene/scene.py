@@ -471,12 +471,15 @@ class ContactTable(t.Table):
         words="speed at which simulated contacts begin",
     )
     one_sided: bool = t.key(t.truth, True)
+    gate: str = t.key(t.one_of(("position", "force")), "position")
     duration: float = t.key(t.quantity("s", is_positive=True), 4.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.push == self.speed == 0.0:
             raise ValueError("push and speed are 0, so nothing moves; give one of them.")
+        if self.gate == "force" and not self.one_sided:
+            raise ValueError('gate is "force", of a wall that only pushes; leave out one_sided.')
 
 
 FINGER = {Units.LINE: (1.0, 0.1), Units.ROTATION: (0.05, 1.0)}  # push and speed: N, m/s; N m, rad/s

@@ -31,7 +31,7 @@ from jaxstab.motion.contact import (
     paths,
 )
 from jaxstab.motion.response import Column, Controller, Response, answer_text, controller_for
-from jaxstab.numbers import checked, checked_number, require_together
+from jaxstab.numbers import checked, checked_number, checked_word, require_together
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -170,11 +170,12 @@ class _Setup(NamedTuple):
         growth = 1.5  # of the amplitude, from one quarter of a run to the next
         size, earlier = values.high - values.low, values.earlier_high - values.earlier_low
         is_one_sided = self.sides.one_sided
+        is_idle = values.strongest == 0.0  # a wall gated by its force acts before the surface
         surface = -self.runs.tolerance - 0.5 * self.runs.encoder  # further outside nothing acts
         cases = [
             (values.deepest >= LIMIT, ContactKind.GROWS),
             (values.limited_since <= self.last, ContactKind.PUSHED_THROUGH),
-            (is_one_sided & (values.deepest < surface), ContactKind.UNTOUCHED),
+            (is_one_sided & (values.deepest < surface) & is_idle, ContactKind.UNTOUCHED),
             (is_one_sided & (values.high < surface), ContactKind.OUTSIDE),
             (values.since <= self.last, ContactKind.RESTS),
             (size > growth * earlier, ContactKind.GROWS),
@@ -202,6 +203,7 @@ def contact(
     position: Numbers = 0.0,
     one_sided: bool = True,
     pulls: bool = False,
+    gate: str = "position",
     duration: int | float = 4.0,
     delays: Sequence[float] | np.ndarray | None = None,
     tolerance: Numbers = 1e-6,
@@ -232,6 +234,8 @@ def contact(
         position: position at time 0 in m, the penetration if positive.
         one_sided: the wall acts only where the sampled position is positive.
         pulls: True for a one-sided wall that may pull; otherwise such forces are 0.
+        gate: "force" for a one-sided wall that acts wherever its force K x + B v pushes: the wall
+            that ``HapticLoop.one_sided`` proves. It begins to brake before the surface.
         duration: of the simulation in s, 16 samples at least.
         delays: as for ``HapticLoop.simulate``.
         tolerance: the device rests while it stays within this distance of one place, in m.
@@ -265,8 +269,8 @@ def contact(
     setup = setup_of(
         loop, stiffness, damping, friction=friction, static_friction=static_friction,
         encoder=encoder, phase=phase, force_step=force_step, max_force=max_force, push=push,
-        speed=speed, position=position, one_sided=one_sided, pulls=pulls, duration=duration,
-        delays=delays, tolerance=tolerance,
+        speed=speed, position=position, one_sided=one_sided, pulls=pulls, gate=gate,
+        duration=duration, delays=delays, tolerance=tolerance,
     )  # fmt: skip
     runs = setup.runs
     shape = runs.alpha.shape
@@ -301,6 +305,7 @@ def setup_of(
     position: Numbers = 0.0,
     one_sided: bool = True,
     pulls: bool = False,
+    gate: str = "position",
     duration: int | float = 4.0,
     delays: Any = None,
     tolerance: Numbers = 1e-6,
@@ -345,7 +350,12 @@ def setup_of(
     runs = Runs(*map(np.array, np.broadcast_arrays(*columns.values())))
     _refuse_odd(runs, unit, support)
     controller = controller_for(given_filters(**loop.filters))
-    sides = Sides(bool(one_sided), bool(pulls))
+    is_by_force = checked_word("gate", gate, ("position", "force")) == "force"
+    if is_by_force and (pulls or not one_sided):
+        raise ValueError(
+            'gate is "force", of a wall that only pushes; leave out one_sided=False and pulls.'
+        )
+    sides = Sides(bool(one_sided), bool(pulls), is_by_force)
     return _Setup(mechanism, controller, runs, round(count), sides, period, unit)
 
 

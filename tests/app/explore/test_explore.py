@@ -490,6 +490,8 @@ def test_a_page_says_what_its_simulated_contacts_ignore() -> None:
     contact = {"push": 1.0, "duration": 2.0, "one_sided": False}
     notes = " ".join(initial_of(page_of({"contact": contact}))["notes"])
     assert "ignore contact.one_sided, contact.duration of the scene" in notes
+    notes = " ".join(initial_of(page_of({"contact": {"gate": "force"}}))["notes"])
+    assert "ignore contact.gate of the scene" in notes
     assert "ignore" not in " ".join(initial_of(page_of(CONTACTS[0]))["notes"])
 
 

@@ -284,6 +284,9 @@ def test_a_map_of_contacts_names_its_conditions_and_its_colours() -> None:
     assert swatch.get_facecolor() == tuple(rests.cmap(0.5))
     both = replace(scene, contact=replace(scene.contact, one_sided=False))
     assert "wall that also pulls" in scene_figure(both, simulate_contacts(both)).axes[0].get_title()
+    gated = replace(scene, contact=replace(scene.contact, gate="force"))
+    title = scene_figure(gated, simulate_contacts(gated)).axes[0].get_title()
+    assert "one-sided wall, gated by its force" in title
 
 
 @pytest.mark.campaign

@@ -107,6 +107,8 @@ def random_case(
         "one_sided": bool(rng.random() < 0.7),
         "pulls": bool(rng.random() < 0.5),
     }
+    if felt["phase"] < 0.3:
+        felt |= {"one_sided": True, "pulls": False, "gate": "force"}
     own = truth.Felt(
         mass=mass, period=PERIOD, delays=moving, velocity=velocity, position=position, wall=wall,
         **same, **felt,
@@ -500,13 +502,23 @@ def test_what_returns_later_is_outside_and_not_said_to_stay_there() -> None:
     assert ContactKind.OUTSIDE.words == "outside of the wall at the end"
 
 
+THROWN = (
+    HapticLoop(
+        device_mass=1.4742,
+        device_damping=1.6797,
+        hand_stiffness=528.99,
+        sample_time=PERIOD,
+        delay=2.0 * PERIOD,
+        velocity=Velocity.low_pass(16.56),
+    ),
+    (12028.0, 227.271),
+    (-1e-3, 0.05),  # m, m/s
+)
+
+
 def test_a_stable_wall_that_acts_where_x_is_positive_may_bounce_higher_for_ever() -> None:
     """The wall of docs/contact.md: held from both sides it calms down, from one side it grows."""
-    loop = HapticLoop(
-        device_mass=1.4742, device_damping=1.6797, hand_stiffness=528.99, sample_time=PERIOD,
-        delay=2.0 * PERIOD, velocity=Velocity.low_pass(16.56),
-    )  # fmt: skip
-    wall, start = (12028.0, 227.271), (-1e-3, 0.05)  # m, m/s
+    loop, wall, start = THROWN
     assert loop.verdict(*wall) == jaxstab.Verdict.STABLE
     assert float(loop.spectral_radius(*wall).value) == pytest.approx(0.99725, abs=5e-6)
     largest = {}
@@ -537,6 +549,36 @@ def test_a_push_of_the_largest_force_or_more_goes_through_the_wall(push: float) 
     assert contact.kind == ContactKind.PUSHED_THROUGH
     assert contact.penetration == pytest.approx(places.max(), rel=1e-9)
     assert jaxstab.contact(loop, *wall, push=0.9, speed=0.1, **limited).kind == ContactKind.RESTS
+
+
+def test_a_wall_gated_by_its_force_rests_where_one_gated_by_the_position_grows() -> None:
+    loop, wall, (position, speed) = THROWN
+    assert loop.one_sided(*wall)
+    start: dict[str, Any] = {"position": position, "speed": speed, "duration": 10.0}
+    kinds = [
+        jaxstab.contact(loop, *wall, **start, **gate).kind
+        for gate in ({}, {"pulls": True}, {"gate": "force"})
+    ]
+    assert kinds[0] == ContactKind.GROWS
+    assert kinds[1] in (ContactKind.GROWS, ContactKind.BOUNCES)
+    assert kinds[2] == ContactKind.RESTS
+    many = jaxstab.contact(loop, *wall, gate="force", path=False, **start | {"speed": [0.02, 0.05]})
+    assert (many.kind == ContactKind.RESTS).all()
+    # It brakes before the surface, so that it may turn back without having touched it.
+    slow = jaxstab.contact(
+        loop, *wall, gate="force", **start | {"position": -5e-3, "speed": 0.1, "duration": 0.3}
+    )
+    assert slow.penetration == 0.0
+    assert slow.largest_force > 1.0
+    assert slow.kind == ContactKind.OUTSIDE
+
+
+@pytest.mark.parametrize("odd", [{"pulls": True}, {"one_sided": False}])
+def test_a_wall_gated_by_its_force_only_pushes(odd: dict[str, bool]) -> None:
+    with pytest.raises(ValueError, match='gate is "force", of a wall that only pushes'):
+        jaxstab.contact(BARE, 1000.0, 1.0, push=1.0, gate="force", **odd)
+    with pytest.raises(ValueError, match='give one of "position", "force"'):
+        jaxstab.contact(BARE, 1000.0, 1.0, push=1.0, gate="side")
 
 
 def test_what_bounced_away_and_stopped_has_left_the_wall() -> None:
@@ -778,11 +820,23 @@ def test_ranges_are_simulated_at_their_lowest_hand_and_longest_delay() -> None:
     assert soft.penetration in runs.penetration
 
 
+def test_a_scene_may_gate_its_walls_by_the_force() -> None:
+    hard = simulate_contacts(scene_with(contact={"speed": 0.0, "gate": "force"})).walls["hard"]
+    starts = {"push": 1.0, "phase": np.array([0.0, 0.25, 0.5, 0.75]), "friction": 0.1}
+    options = starts | {"encoder": 1e-5, "duration": 1.0, "path": False}
+    by_force = jaxstab.contact(WINDOW, 5000.0, 30.0, gate="force", **options)
+    by_position = jaxstab.contact(WINDOW, 5000.0, 30.0, **options)
+    assert hard.largest_force in by_force.largest_force
+    assert hard.largest_force not in by_position.largest_force
+
+
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
         ({"contact": {"push": 0.0, "speed": 0.0}}, "push and speed are 0, so nothing moves"),
         ({"contact": {"one_sided": 1.0}}, "one_sided is 1.0; give true or false"),
+        ({"contact": {"gate": "side"}}, "gate is 'side'; give position, force"),
+        ({"contact": {"gate": "force", "one_sided": False}}, "of a wall that only pushes"),
         ({"device": {"static_friction": 0.01}}, "static_friction is 0.01 beside a friction of 0.1"),
         ({"device": {"friction": -1.0}}, "friction is -1.0"),
     ],
