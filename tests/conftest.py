@@ -2,9 +2,9 @@
 
 What XLA compiles is kept with pytest's own cache: workers of pytest-xdist, the processes that tests
 start and the next run do not compile the same again. JAX tells programs apart by what is compiled,
-by its own version and by its options; but where Python, from 3.14 on, or a package has Zstandard,
-it compresses them by that, which others do not read: each way has a folder. ``--cache-clear``
-deletes them. The user's cache is not touched.
+by its own version and by its options; but what it writes on Python 3.14 older ones do not read, and
+so each version of Python has a folder. ``--cache-clear`` deletes them. The user's cache is not
+touched.
 """
 
 import ctypes
@@ -13,7 +13,6 @@ import os
 import resource
 import sys
 from collections.abc import Iterator
-from importlib.util import find_spec
 from pathlib import Path
 
 # Threads of BLAS wait for each other busily: two of them took 500 times as long for an exponential
@@ -48,8 +47,8 @@ _forget_at = 17 << 25  # bytes of a process, from which on it forgets what it ha
 def pytest_configure(config: pytest.Config) -> None:
     """Name the folder of compiled programs to all processes; workers have it from their parent."""
     if "PYTEST_XDIST_WORKER" not in os.environ and config.pluginmanager.has_plugin("cacheprovider"):
-        way = "zstd" if sys.version_info >= (3, 14) or find_spec("zstandard") else "zlib"
-        jaxstab.use_compilation_cache(config.cache.mkdir(f"programs-{way}"))
+        folder = "programs-{}.{}".format(*sys.version_info)
+        jaxstab.use_compilation_cache(config.cache.mkdir(folder))
 
 
 @pytest.hookimpl(tryfirst=True)
