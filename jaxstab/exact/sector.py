@@ -39,7 +39,7 @@ Taps = tuple[tuple[int, float], ...]
 _ORDERS = 1, 8  # the largest |k|: most walls need k = 1 and -1 alone
 
 
-class Wall(NamedTuple):
+class OneSidedWall(NamedTuple):
     """Two gains without the force, and those of the linear wall."""
 
     triple: TripleAt
@@ -52,7 +52,7 @@ class Wall(NamedTuple):
         return triple.at(*self.without), triple.at(*self.linear)
 
 
-def multiplier(walls: Sequence[Wall]) -> Taps | None:
+def multiplier(walls: Sequence[OneSidedWall]) -> Taps | None:
     """One multiplier that proves all of some walls; None if none is found."""
     for order in _ORDERS:
         taps = _suggested(walls, [k for k in range(-order, order + 1) if k])
@@ -61,7 +61,7 @@ def multiplier(walls: Sequence[Wall]) -> Taps | None:
     return None
 
 
-def proves(taps: Taps, wall: Wall) -> bool:
+def proves(taps: Taps, wall: OneSidedWall) -> bool:
     """True if a multiplier proves a wall."""
     weights = [arb(h) for _, h in taps]
     if not all(k and h >= 0.0 for k, h in taps) or not sum(weights, arb(0)) < 1:
@@ -93,7 +93,7 @@ def _cosines(taps: Taps, p1: Factored, p2: Factored) -> list[arb]:
 # What follows suggests.
 
 
-def _suggested(walls: Sequence[Wall], lags: list[int]) -> Taps | None:
+def _suggested(walls: Sequence[OneSidedWall], lags: list[int]) -> Taps | None:
     from scipy.optimize import linprog  # it takes longer to import than a proof
 
     most, rounds, first, more = 0.9999999, 8, 400, 100  # of the sum; of exchanges; of angles
@@ -123,7 +123,7 @@ def _suggested(walls: Sequence[Wall], lags: list[int]) -> Taps | None:
     return tuple((k, float(h)) for k, h in zip(lags, weights, strict=True) if h > 1e-9)
 
 
-def _phases(wall: Wall) -> tuple[Float64[np.ndarray, " angle"], np.ndarray]:
+def _phases(wall: OneSidedWall) -> tuple[Float64[np.ndarray, " angle"], np.ndarray]:
     """Angles in (0, pi], some of them next to roots, and p2/p1 there over its modulus."""
     with working_precision(FIRST_BITS):
         parts, sides = ([FloatValues(p) for p in own] for own in (wall.triple(), wall.sides()))

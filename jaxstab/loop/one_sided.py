@@ -10,7 +10,7 @@ from collections.abc import Callable
 from math import inf, isfinite, nan
 from typing import Any, NamedTuple
 
-from jaxstab.exact.sector import Taps, Wall, multiplier
+from jaxstab.exact.sector import OneSidedWall, Taps, multiplier
 from jaxstab.loop.gains import by_gain
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.model.gain import Gain
@@ -83,7 +83,7 @@ def _names(gains: tuple[Gain, Gain]) -> list[str]:
 
 def one_sided(loop: Any, pair: tuple[float, float], form: str) -> OneSided:
     """The answer to one pair of gains."""
-    walls = _Walls(loop, form, pair[1])
+    walls = _OneSidedWalls(loop, form, pair[1])
     proof = walls.alone(*pair)
     first, second = (Printed(x, exact_text(x)) for x in pair)
     return OneSided(proof is not None, first, second, walls.covered, proof or (), loop.gains)
@@ -102,7 +102,7 @@ def one_sided_limit(loop: Any, form: str, ratio: float | None, given: dict[str, 
         )
     slope = 0.0 if ratio is None else checked_number("ratio", ratio)
     base = checked_number(second, given.get(second, 0.0))
-    walls = _Walls(loop, form, base)
+    walls = _OneSidedWalls(loop, form, base)
     prove = walls.fan if form == "force" and base else walls.alone
     stable = loop._line((0.0, base), (1.0, slope)).holding(0.0)
     reach = inf if stable is None else stable.high.value
@@ -134,7 +134,7 @@ def _largest(prove: Callable[[float], Proof], reach: float) -> tuple[float, Proo
     return low, found
 
 
-class _Walls:
+class _OneSidedWalls:
     """The walls of a loop behind functions of one form; ValueError where none can be proved."""
 
     def __init__(self, loop: Any, form: str, second: float) -> None:
@@ -162,9 +162,9 @@ class _Walls:
                 "spring holds, however soft: give the hand a stiffness, such as 1e-6 N/m."
             )
 
-    def _wall(self, first: float, second: float) -> Wall:
+    def _wall(self, first: float, second: float) -> OneSidedWall:
         without = 0.0, second if self.is_spring else 0.0
-        return Wall(self.loop._triple, without, (first, second))
+        return OneSidedWall(self.loop._triple, without, (first, second))
 
     def alone(self, first: float, second: float) -> Proof:
         """The proof of one pair of gains."""

@@ -10,14 +10,14 @@ import pytest
 from campaign import many
 
 from jaxstab import Device, Hand, HapticLoop, Mode, Velocity
-from jaxstab.exact.sector import Taps, Wall, multiplier, proves
+from jaxstab.exact.sector import OneSidedWall, Taps, multiplier, proves
 from jaxstab.model.balls import ball_triple
 from tests.truth.one_sided import Body, Forces, Sampled, T, attacked, run
 
 
-def wall_of(loop: HapticLoop, stiffness: float, damping: float) -> Wall:
+def wall_of(loop: HapticLoop, stiffness: float, damping: float) -> OneSidedWall:
     """No force and the linear wall, both gains behind the function."""
-    return Wall(partial(ball_triple, loop), (0.0, 0.0), (stiffness, damping))
+    return OneSidedWall(partial(ball_triple, loop), (0.0, 0.0), (stiffness, damping))
 
 
 def held(delay: float, velocity: Velocity) -> HapticLoop:
