@@ -67,7 +67,15 @@ class UsableLimits(NamedTuple):
 
     @property
     def none_in_words(self) -> str:
-        """That no gains have the margins, and which ones some have."""
+        """That no gains have the margins, and which ones some have.
+
+        Example:
+            >>> device = jaxstab.HapticLoop(
+            ...     device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=1e-3
+            ... )
+            >>> jaxstab.pid(device, kd=50.0).limits(sensitivity=1.05).none_in_words
+            'no gains with a peak of |S| of 1.05 at most were found; some have a peak of |S| of ...'
+        """
         some = f"; some have {self.attained}" if self.attained else ""
         return f"no gains with {self.wanted} were found{some}"
 
