@@ -63,11 +63,12 @@ def multiplier(walls: Sequence[OneSidedWall]) -> Taps | None:
 
 def proves(taps: Taps, wall: OneSidedWall) -> bool:
     """True if a multiplier proves a wall."""
-    weights = [arb(h) for _, h in taps]
-    if not all(k and h >= 0.0 for k, h in taps) or not sum(weights, arb(0)) < 1:
+    if not all(k and h >= 0.0 for k, h in taps):
         return False
 
     def answer() -> bool | None:
+        if not sum((arb(h) for _, h in taps), arb(0)) < 1:
+            return False
         p1, p2 = wall.sides()
         if p1.degree != p2.degree or not (p1.leading - p2.leading).contains(0):
             return False  # the force depends on itself without a sample between

@@ -356,7 +356,8 @@ def _distance_to_root(
     value_size = xp.sqrt(value.squared_modulus()) + rounding
     slope_size = xp.sqrt(slope.squared_modulus()) - unit * slope_terms
     distance = (_SLACK * degree) * value_size / slope_size
-    return xp.where(slope_size > 0.0, distance, xp.inf), rounding
+    is_bounded = (slope_size > 0.0) & (slope_size < xp.inf)  # its square may overflow
+    return xp.where(is_bounded, distance, xp.inf), rounding
 
 
 def _circle(t: Array, rounding: Array, loop: PlantPoints, degree: int) -> tuple[Chain, Ends]:

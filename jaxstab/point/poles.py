@@ -268,4 +268,5 @@ def distance_to_root(columns: list[Array], error: Array, z: Complex) -> Array:
     unit, most = (4.0 * degree + 10.0) * UNIT, error * xp.maximum(radius, 1.0) ** degree
     nearest = xp.sqrt(value.squared_modulus()) + unit * size + most + _LEAST
     steep = xp.sqrt(slope.squared_modulus()) - unit * slope_size - degree * most
-    return xp.where(steep > 0.0, SAFETY * degree * nearest / steep, xp.inf)
+    is_bounded = (steep > 0.0) & (steep < xp.inf)  # its square may overflow
+    return xp.where(is_bounded, SAFETY * degree * nearest / steep, xp.inf)
