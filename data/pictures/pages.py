@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -32,6 +33,21 @@ def frequency(loop: jaxstab.HapticLoop) -> None:
     figure.savefig(DOCS / "frequency.png", dpi=110)
 
 
+def stable_area(loop: jaxstab.HapticLoop) -> tuple[Any, np.ndarray, np.ndarray]:
+    """The limits, and the largest stable stiffness at many dampings."""
+    limits = loop.limits()
+    damping = np.linspace(0.0, limits.damping, 400)
+    return limits, damping, loop.stiffness_limits(damping)[:, 1]
+
+
+def usable_area(loop: jaxstab.HapticLoop, **margins: float) -> tuple[Any, np.ndarray, list[float]]:
+    """The limits with margins, and the largest usable stiffness at many dampings."""
+    limits = loop.limits(**margins)
+    rows = limits.second * np.linspace(0.0, 1.0, 81)[:-1]
+    ends = [loop.intervals(damping=row, **margins).inner for row in rows.tolist()]
+    return limits, rows, [max((high for _, high in row), default=0.0) for row in ends]
+
+
 def window(loop: jaxstab.HapticLoop) -> None:
     """README's picture: stable walls with the velocity over one sample and over the window."""
     figure, ax = pyplot.subplots(figsize=(8, 3.8), layout="constrained")
@@ -43,12 +59,8 @@ def window(loop: jaxstab.HapticLoop) -> None:
         ("one sample", replace(loop, velocity=jaxstab.Velocity()), ("#cfe6f5", "#8fc3e4")),
         ("20 ms", loop, ("#f6dcc2", "#dd9d63")),
     ):
-        edge, inside = own.limits(), own.limits(phase_margin=30)
-        damping = np.linspace(0.0, edge.damping, 400)
-        stiffness = own.stiffness_limits(damping)[:, 1]
-        rows = inside.second * np.linspace(0.0, 1.0, 81)[:-1]
-        ends = [own.intervals(damping=row, phase_margin=30).inner for row in rows.tolist()]
-        widest = [max((high for _, high in row), default=0.0) for row in ends]
+        edge, damping, stiffness = stable_area(own)
+        inside, rows, widest = usable_area(own, phase_margin=30)
         found[name] = edge.stiffness
         for axes in (ax, inset) if own is loop else (ax,):
             label = f"velocity over {name}: stable up to {int(edge.stiffness):,} N/m"
@@ -69,9 +81,7 @@ def window(loop: jaxstab.HapticLoop) -> None:
 def usable(loop: jaxstab.HapticLoop) -> None:
     """Of one device: the edge of stability, walls with margins, and passive walls."""
     figure, ax = pyplot.subplots(figsize=(8, 5), layout="constrained")
-    edge = loop.limits()
-    damping = np.linspace(0.0, edge.damping, 400)
-    stiffness = loop.stiffness_limits(damping)[:, 1]
+    edge, damping, stiffness = stable_area(loop)
     label = f"stable: up to {int(edge.stiffness):,} N/m, no margin there"
     ax.fill_betweenx(damping, 0.0, stiffness, color="#cfe6f5", label=label)
     ax.plot(stiffness, damping, color=BLUE, linewidth=2)
@@ -81,10 +91,7 @@ def usable(loop: jaxstab.HapticLoop) -> None:
         ({"sensitivity": 2.0}, "peak of |S| of 2 at most", "#b9dcb0"),
         ({"phase_margin": 45.0}, "45 degrees of phase margin", "#eec093"),
     ):
-        best = loop.limits(**margins)
-        rows = best.second * np.linspace(0.0, 1.0, 81)[:-1]
-        ends = [loop.intervals(damping=row, **margins).inner for row in rows.tolist()]
-        widest = [max((high for _, high in row), default=0.0) for row in ends]
+        best, rows, widest = usable_area(loop, **margins)
         label = f"{words}: up to {int(best.first):,} N/m"
         ax.fill_betweenx(rows, 0.0, widest, color=color, label=label)
     passive = loop.passive_region()
@@ -100,9 +107,8 @@ def usable(loop: jaxstab.HapticLoop) -> None:
 def which(loop: jaxstab.HapticLoop) -> None:
     """One wall of one stable set, and the methods that answer about it."""
     K, B = 1000.0, 25.0  # N/m, N s/m
-    damping = np.linspace(0.0, loop.limits().damping, 400)
-    stiffness = loop.stiffness_limits(damping)[:, 1]
-    best, fastest, margins = loop.limits(), loop.tune(), loop.margins(K, B)
+    best, damping, stiffness = stable_area(loop)
+    fastest, margins = loop.tune(), loop.margins(K, B)
     figure, ax = pyplot.subplots(figsize=(8, 5), layout="constrained")
     ax.fill_betweenx(damping, 0.0, stiffness, color="#cfe6f5")
     ax.plot(stiffness, damping, color=BLUE, linewidth=2)

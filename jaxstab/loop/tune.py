@@ -18,7 +18,7 @@ from jaxtyping import Float64
 from jaxstab.arrays import Numbers
 from jaxstab.conventions import Excitation
 from jaxstab.loop.region import TOLERANCE, Tuned, region_of_loop
-from jaxstab.loop.usable import LikelyUsable, usable_limits
+from jaxstab.loop.usable import LikelyUsable, UsableLimits, usable_limits
 from jaxstab.loop.wanted import WantedMargins
 from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.filters import Filter, Velocity, as_keywords, behind_measured, given_filters
@@ -286,7 +286,7 @@ def _fastest_usable_wall(
     alpha: float | None,
 ) -> tuple[float, float]:
     """The gains of the least objective found that keep the bounds, and the margins, proved."""
-    largest, rounds = usable_limits(loop, usable.wanted), 8
+    largest, rounds = _largest_usable(loop.in_floats(), usable.wanted), 8
 
     def are_usable(alphas: np.ndarray, betas: np.ndarray) -> np.ndarray:
         return usable(loop.stiffness(alphas), loop.damping(betas))
@@ -378,6 +378,12 @@ def optimal_wall(
         found = loop.settling_time(*gains, level=level, excitation=excitation)
         settling = float(found.value)
     return Tuned(*gains, float(radius.value), float(radius.error), status, settling, reached)
+
+
+@lru_cache(maxsize=16)
+def _largest_usable(plain: Any, wanted: WantedMargins) -> UsableLimits:
+    """The largest usable gains of a loop: scenes are tuned for several walls."""
+    return usable_limits(plain, wanted)
 
 
 @lru_cache(maxsize=16)

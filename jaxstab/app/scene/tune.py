@@ -150,7 +150,7 @@ def tune_walls(scene: Scene) -> GainAnswer:
     """
     if margins := scene.wanted.margins:
         scene.controller.require_one_delay(f"a search for {' and '.join(margins)}")
-        _require_one_hand(scene)
+    _require_one_hand_for_margins(scene)
     best = partial(_best, scene, loops.loop_of(scene.at_longest_delay))
     given, fastest = scene.wanted.at_stiffness, best("settling")
     gains = Gains(fastest.rounded.stiffness, fastest.rounded.damping) if fastest.rounded else None
@@ -255,9 +255,9 @@ class _WallsForAll(StableGains):
         return at if isnan(low) else 0.5 * (max(low, 0.0) + min(high, 3.0 * max(low, 0.0) + 1.0))
 
 
-def _require_one_hand(scene: Scene) -> None:
+def _require_one_hand_for_margins(scene: Scene) -> None:
     """ValueError where margins are beside a range of hands."""
-    if loops.hands_of(scene):
+    if scene.wanted.margins and loops.hands_of(scene):
         raise ValueError(
             f"{' and '.join(scene.wanted.margins)} in [wanted] are beside a range of hands, for "
             "which walls are proved without margins; give one hand, or leave them out."
@@ -281,8 +281,7 @@ def design_loop(scene: Scene) -> GainAnswer:
     loop, in_samples = loops.loop_of(scene), scene.controller.delay_samples
     period, of_k, safety = loop.sample_time, loop.gains[0], scene.wanted.safety or 1.0
     hands, corners = loops.hands_of(scene), loops.corner_loops(scene)
-    if scene.wanted.margins:
-        _require_one_hand(scene)
+    _require_one_hand_for_margins(scene)
     ranges = {"hands": hands, "mass": loops.masses_of(scene)}
     shortest = max(period / 1024.0, loop.delay / most_samples if in_samples is None else 0.0)
     longest = min(1024.0 * period, _longest(loop))
